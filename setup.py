@@ -15,7 +15,7 @@ COMMANDS = ("run", "relay", "peer", "topics", "check", "solve", "simulate", "sta
 ROS_FILES = [
     ("share/ament_index/resource_index/packages", ["resource/arpd"]),
     # With --symlink-install, setuptools runs where colcon links the files named here, and reads pyproject.toml there.
-    ("share/arpd", ["package.xml", "pyproject.toml", "README.md", "LICENSE", "arpd/adapters/ros/fastdds.xml"]),
+    ("share/arpd", ["package.xml", "pyproject.toml", "README.md", "LICENSE", "arpd/ros/fastdds.xml"]),
     ("share/arpd/launch", [str(path) for path in Path("launch").glob("*.launch.py")]),
     ("share/arpd/config", ["etc/arpd/arpd.yaml"]),
 ]

@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from arpd.adapters.ros.publisher import AdaptivePublisher
+    from arpd.endpoint.publisher import AdaptivePublisher
 
 __all__ = ["AdaptivePublisher", "__version__"]
 
@@ -31,7 +31,7 @@ def __getattr__(name: str) -> Any:
         version = "{}.{}".format(*sys.version_info)
         raise ImportError(f"arpd.{name} needs Python 3.11 or newer; {sys.executable} is Python {version}", name="arpd")
     try:
-        from arpd.adapters.ros.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
+        from arpd.endpoint.publisher import AdaptivePublisher  # noqa: PLC0415 - the reason is above
     except ImportError as error:
         missing = (error.name or "").partition(".")[0]
         if missing in {"", "arpd"}:  # a fault of arpd itself

@@ -30,14 +30,14 @@ not fit the link. Exits 0 without faults, 78 with.""",
 examples:
   arpd check                                 checks /etc/arpd/arpd.yaml
   arpd check my.yaml && sudo systemctl reload arpd
-  arpd check --far                           on the CEDDP, for `arpd relay --far` and `arpd peer`
+  arpd check --far                           on the base computer, for `arpd relay --far` and `arpd peer`
   arpd check --no-interfaces robot.yaml      on another computer than the robot
   arpd check --json my.yaml | jq .settings   every key with the value in force""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", nargs="?", type=Path, default=default_config, help="YAML file (default %(default)s)")
     parser.add_argument(
-        "--far", action="store_true", help="check for the far end, on the CEDDP; link.interface is the robot's"
+        "--far", action="store_true", help="check for the far end, on the base computer; link.interface is the robot's"
     )
     parser.add_argument(
         "--no-interfaces",
@@ -49,10 +49,10 @@ examples:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from arpd.adapters.config.domain import local_domain
-    from arpd.adapters.config.load import load_settings
-    from arpd.adapters.config.schema import flatten
-    from arpd.adapters.http.web_config import check_web_config
+    from arpd.host.config.domain import local_domain
+    from arpd.host.config.load import load_settings
+    from arpd.host.config.schema import flatten
+    from arpd.web.web_config import check_web_config
 
     interfaces = None if options.far or options.no_interfaces else _list_interfaces
     try:
@@ -77,15 +77,15 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _warnings(settings: Settings, *, is_here: bool) -> list[str]:
-    from arpd.adapters.config.advice import floor_warnings, warnings
-    from arpd.adapters.host.interface import MemoryReader
+    from arpd.host.config.advice import floor_warnings, warnings
+    from arpd.host.interface import MemoryReader
 
     of_host = warnings(settings, host_bytes=MemoryReader().read().total_bytes) if is_here else []
     return of_host + floor_warnings(settings)
 
 
 def _list_interfaces() -> list[str] | None:
-    from arpd.adapters.host.interface import list_interfaces
+    from arpd.host.interface import list_interfaces
 
     if (names := list_interfaces()) is None:
         print("arpd: the kernel does not list this host's interfaces; link.interface is not checked", file=sys.stderr)
@@ -94,7 +94,7 @@ def _list_interfaces() -> list[str] | None:
 
 def _summary(settings: Settings, *, is_far: bool) -> str:
     """Say what the file changes from the defaults, and what it means for the relay on this computer."""
-    from arpd.adapters.config.load import describe_change
+    from arpd.host.config.load import describe_change
 
     relay = settings.relay
     changes = describe_change(Settings(), settings)
@@ -108,19 +108,19 @@ def _one_end(relay: RelaySettings, *, is_far: bool) -> Iterator[str]:
     if is_far:
         yield "one end, on the robot: the relay has nothing to do on this side"
     elif relay.topics:
-        yield f"one end: the CEDDP reads the relayed topics under {relay.prefix}"
+        yield f"one end: the base computer reads the relayed topics under {relay.prefix}"
 
 
 def _two_ends(relay: RelaySettings, *, is_far: bool) -> Iterator[str]:
-    here, there = (relay.ceddp, relay.robot) if is_far else (relay.robot, relay.ceddp)
+    here, there = (relay.base, relay.robot) if is_far else (relay.robot, relay.base)
     other = f"the other end at {there}" if there else f"the other end finds this one at {here}"
-    to_ceddp, to_robot = (", ".join(patterns) or "nothing" for patterns in (relay.to_ceddp, relay.to_robot))
-    yield f"two ends: link domain {relay.link_domain}, {other}; to the CEDDP {to_ceddp}; to the robot {to_robot}"
+    to_base, to_robot = (", ".join(patterns) or "nothing" for patterns in (relay.to_base, relay.to_robot))
+    yield f"two ends: link domain {relay.link_domain}, {other}; to the base computer {to_base}; to the robot {to_robot}"
     named = {"deny": relay.deny, "services": relay.services, "actions": relay.actions}
     parts = [f"{key} {', '.join(patterns)}" for key, patterns in named.items() if patterns]
     if relay.groups:
         parts.append(f"groups {', '.join(group.name for group in relay.groups)}")
     if relay.namespace:
-        parts.append(f"names on the CEDDP under {relay.namespace}")
+        parts.append(f"names on the base computer under {relay.namespace}")
     if parts:
         yield "; ".join(parts)

@@ -9,32 +9,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from arpd import __version__
-from arpd.adapters.config.domain import local_domain
-from arpd.adapters.config.load import load_settings
-from arpd.adapters.host import discovery, kernel, wireless
-from arpd.adapters.host.interface import index_of, likeliest_interface, list_interfaces
-from arpd.adapters.ros import installation
-from arpd.adapters.ros.profile import profile_line
-from arpd.adapters.ros.rmw import rmw_of
-from arpd.adapters.systemd.services import service_states
 from arpd.cli.options import host_of, is_here
+from arpd.host import discovery, kernel, wireless
+from arpd.host.config.domain import local_domain
+from arpd.host.config.load import load_settings
+from arpd.host.interface import index_of, likeliest_interface, list_interfaces
+from arpd.host.services import service_states
 from arpd.model.errors import ArpdError, ConfigError, UsageError
 from arpd.model.settings import AUTO, Settings
 from arpd.report import health_host, health_link
 from arpd.report.health import Facts, NotKnownError, PeerClock, Unit, Unknown, unknown
+from arpd.ros import installation
+from arpd.ros.profile import profile_line
+from arpd.ros.rmw import rmw_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from arpd.adapters.http.api.status import Status
-    from arpd.adapters.systemd.services import ServiceState
     from arpd.cli.client import DaemonAddress
+    from arpd.host.services import ServiceState
     from arpd.report.health import Finding, HeardDiscovery, NetworkLimits, PythonRos, RadioState
+    from arpd.web.api.status import Status
 
 _Fact = TypeVar("_Fact")
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
 UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
-_UNITS_OF_CEDDP = {"arpd-peer", "arpd-relay-far"}
+_UNITS_OF_BASE = {"arpd-peer", "arpd-relay-far"}
 _WITHOUT_INTERFACE = "no interface looks like the link; name it with --interface"
 
 
@@ -48,7 +48,7 @@ class Asked:
     has_own_url : whether the user named that address
     config_path : configuration file
     interface : link interface here, empty = find it
-    is_far : whether this computer is the CEDDP, as the user says
+    is_far : whether this computer is the base computer, as the user says
     listen_s : time to listen to discovery, 0 = do not (s)
     """
 
@@ -130,11 +130,11 @@ def gather(asked: Asked, senses: Senses) -> Facts:
     url_host = host_of(asked.daemon.url)
     is_remote = bool(url_host) and not is_here(asked.daemon.url, is_own_address=senses.is_own_address)
     units = _installed(senses.units())
-    is_far = asked.is_far or is_remote or _is_ceddp(units)
+    is_far = asked.is_far or is_remote or _is_base(units)
     settings, faults = _configuration(asked.config_path, is_far=is_far)
     status = _status(asked, settings, is_far=is_far, is_remote=is_remote)
     relay = settings.relay
-    other = (url_host if is_remote else relay.robot) if is_far else relay.ceddp
+    other = (url_host if is_remote else relay.robot) if is_far else relay.base
     told = "" if is_far or isinstance(status, Unknown) else status.interface
     configured = "" if is_far or settings.link.interface == AUTO else settings.link.interface
     interface = asked.interface or _interface(senses, names=(told, configured), other=other)
@@ -183,12 +183,12 @@ def _installed(states: Mapping[str, ServiceState]) -> list[Unit] | Unknown:
     ]
 
 
-def _is_ceddp(installed: list[Unit] | Unknown) -> bool:
-    """Return whether only the units of the CEDDP are in use here."""
+def _is_base(installed: list[Unit] | Unknown) -> bool:
+    """Return whether only the units of the base computer are in use here."""
     if isinstance(installed, Unknown):
         return False
     used = {unit.name for unit in installed if unit.is_enabled or unit.active != "inactive"}
-    return bool(used) and used <= _UNITS_OF_CEDDP
+    return bool(used) and used <= _UNITS_OF_BASE
 
 
 def _configuration(path: Path, *, is_far: bool) -> tuple[Settings, list[str] | Unknown]:
@@ -213,7 +213,7 @@ def _status(asked: Asked, settings: Settings, *, is_far: bool, is_remote: bool) 
     except UsageError:
         raise
     except ArpdError as error:
-        hint = " On the CEDDP, name the robot with --url" if not is_remote and str(error).endswith("?") else ""
+        hint = " On the base computer, name the robot with --url" if not is_remote and str(error).endswith("?") else ""
         return Unknown(f"{error}{hint}")
     return status or Unknown(f"the daemon at {daemon.url} has not finished a tick")
 

@@ -15,11 +15,11 @@ from pydantic import ValidationError
 from tornado.httpclient import HTTPClient, HTTPError
 from tornado.simple_httpclient import HTTPTimeoutError, SimpleAsyncHTTPClient
 
-from arpd.adapters.http.api.history import History
-from arpd.adapters.http.api.status import Status
 from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, plain_host
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
+from arpd.web.api.history import History
+from arpd.web.api.status import Status
 
 if TYPE_CHECKING:
     import argparse

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from arpd.adapters.sim.link import LinkModel
-    from arpd.adapters.sim.result import TopicResult
-    from arpd.adapters.sim.robot import SimTopic
-    from arpd.adapters.sim.trace import LinkTrace
     from arpd.daemon.compare import Comparison, LinkEvent, Summary
     from arpd.daemon.scenario import ScenarioResult
     from arpd.model.settings import Settings
+    from arpd.sim.link import LinkModel
+    from arpd.sim.result import TopicResult
+    from arpd.sim.robot import SimTopic
+    from arpd.sim.trace import LinkTrace
 
 _MBIT = 1e6 / 8  # bytes
 _WAYS = ("arpd", "without", "oracle")

@@ -37,12 +37,12 @@ arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units 
 configuration.
 
 It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
-CEDDP, name the robot with --url (http.host in its configuration opens the port).""",
+base computer, name the robot with --url (http.host in its configuration opens the port).""",
         epilog="""\
 examples:
   arpd doctor                                on the robot
-  arpd doctor --url http://robot.local:9464  on the CEDDP
-  arpd doctor --far                          on the CEDDP, when the robot's port is closed
+  arpd doctor --url http://robot.local:9464  on the base computer
+  arpd doctor --far                          on the base computer, when the robot's port is closed
   arpd doctor --verbose                      what is fine, too
   arpd doctor --json | jq '.checks[] | select(.health == "wrong")'
 
@@ -53,7 +53,9 @@ exit codes: 0 nothing to do (a check may not have been possible), 1 something to
     parser.add_argument(
         "--config", type=Path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
     )
-    parser.add_argument("--far", action="store_true", help="this computer is the CEDDP; --url of a robot implies it")
+    parser.add_argument(
+        "--far", action="store_true", help="this computer is the base computer; --url of a robot implies it"
+    )
     parser.add_argument("--interface", metavar="NAME", default="", help="interface of the link here (default: find it)")
     parser.add_argument(
         "--listen",
@@ -95,7 +97,7 @@ def document(found: Checkup) -> dict[str, Any]:
     """Return a checkup as a JSON document."""
     return {
         "ok": not any(each.health is Health.WRONG for each in found.findings.values()),
-        "end": "ceddp" if found.is_far else "robot",
+        "end": "base" if found.is_far else "robot",
         "interface": found.interface or None,
         "checks": [{"check": about, **asdict(each)} for about, each in found.findings.items()],
     }

@@ -11,7 +11,6 @@ from rich.segment import Segment
 from rich.styled import Styled
 from rich.text import Text
 
-from arpd.adapters.http.api.status import Finding
 from arpd.cli.columns import wall_clock, wrapped
 from arpd.cli.output import FittedTable
 from arpd.model.quantities import (
@@ -26,15 +25,16 @@ from arpd.model.quantities import (
 from arpd.report.events import Severity
 from arpd.report.situation import SLOWED_BELOW
 from arpd.report.wording import PACED_ONLY, confirmed, lease
+from arpd.web.api.status import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rich.console import Console, ConsoleOptions, RenderableType
 
-    from arpd.adapters.http.api.endpoints import Qos, Topic
-    from arpd.adapters.http.api.history import History
-    from arpd.adapters.http.api.status import Relay, Status
+    from arpd.web.api.endpoints import Qos, Topic
+    from arpd.web.api.history import History
+    from arpd.web.api.status import Relay, Status
 
     Show = Callable[[float], str]
 
@@ -190,7 +190,7 @@ def _program(status: Status) -> str:
 
 def _relay(relay: Relay) -> str:
     """Say what crosses between the two ends of the relay."""
-    to_ceddp, to_robot = (f"{way.wanted} of {way.offered}" for way in (relay.to_ceddp, relay.to_robot))
+    to_base, to_robot = (f"{way.wanted} of {way.offered}" for way in (relay.to_base, relay.to_robot))
     others = (
         (relay.incomplete, "samples of incomplete groups dropped"),
         (sum(relay.calls_failed.values()), "calls failed"),
@@ -199,7 +199,7 @@ def _relay(relay: Relay) -> str:
     )
     host = f" ({relay.other_host})" if relay.other_host else ""
     now = "cross" if relay.reachable else "wait to cross"
-    crosses = f"{to_ceddp} topics {now} to the CEDDP{host}, {to_robot} to the robot"
+    crosses = f"{to_base} topics {now} to the base computer{host}, {to_robot} to the robot"
     return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
 
 

@@ -129,19 +129,22 @@ def _add_relay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description="""\
 Carry topics through publishers that arpd can tune. Any installed message type; no message is decoded.
 
-Two ends (relay.link_domain in the configuration): this process on the robot and `arpd relay --far` on the CEDDP carry
-topics under their own names, in both directions, while somebody on the other side reads them, and services and actions.
+Two ends (relay.link_domain in the configuration): this process on the robot and `arpd relay --far` on the base computer
+carry topics under their own names, in both directions, while somebody on the other side reads them, and services and
+actions.
 One end (without it): subscribe on this host to the topics under relay.topics and publish them again, unchanged, as
 relay.prefix + name. Readers across the link subscribe to the new name.""",
         epilog="""\
 examples:
   arpd relay                                 with /etc/arpd/arpd.yaml
-  arpd relay --far                           on the CEDDP, with the same file
+  arpd relay --far                           on the base computer, with the same file
   arpd relay --config my.yaml --node-name arpd_relay_camera""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_config(parser)
-    parser.add_argument("--far", action="store_true", help="be the far end of a relay with two ends, on the CEDDP")
+    parser.add_argument(
+        "--far", action="store_true", help="be the far end of a relay with two ends, on the base computer"
+    )
     parser.add_argument("--node-name", metavar="NAME", help="name of the ROS node (default arpd_relay_HOST)")
     _add_log_level(parser)
     parser.set_defaults(handler=_relay)
@@ -152,9 +155,9 @@ def _add_peer(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "peer",
         help="report what arrives at the other end of the link",
         description="""\
-Run on the computer at the other end of the link (the CEDDP). Ten times a second it reports to the daemon what its
-interface received and which probe packets arrived; the robot cannot see either. It needs a configuration only for a
-relay with two ends, whose link domain it joins.""",
+Run on the base computer, at the other end of the link. Ten times a second it reports to the daemon what its interface
+received and which probe packets arrived; the robot cannot see either. It needs a configuration only for a relay with
+two ends, whose link domain it joins.""",
         epilog="""\
 examples:
   arpd peer                                  the likeliest interface, this host's name
@@ -187,7 +190,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _relay(options: argparse.Namespace) -> int:
-    from arpd.adapters.ros.relay import run_relay
+    from arpd.relay.main import run_relay
 
     return run_relay(
         config_path=options.config, node_name=options.node_name, log_level=options.log_level, is_far=options.far
@@ -195,7 +198,7 @@ def _relay(options: argparse.Namespace) -> int:
 
 
 def _peer(options: argparse.Namespace) -> int:
-    from arpd.adapters.ros.peer import run_peer
+    from arpd.ros.peer import run_peer
 
     config_path = options.config or (DEFAULT_CONFIG if DEFAULT_CONFIG.exists() else None)
     return run_peer(

@@ -11,7 +11,7 @@ from arpd.model.errors import NoAnswerError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.adapters.systemd.services import ServiceState
+    from arpd.host.services import ServiceState
     from arpd.model.errors import DaemonUnreachableError
 
 _ROBOT, _OTHER_END = "arpd", "arpd-peer"
@@ -26,7 +26,7 @@ _CAUSES = {
 
 def tell_no_daemon(error: DaemonUnreachableError, url: str) -> None:
     """Print why nobody answers at a URL, and for this computer the next step."""
-    from arpd.adapters.systemd.services import service_states
+    from arpd.host.services import service_states
 
     print(f"arpd: {error}", file=sys.stderr)
     if isinstance(error, NoAnswerError) and is_here(url):

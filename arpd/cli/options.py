@@ -56,7 +56,7 @@ def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) ->
     ----------
     is_own_address : returns whether an IPv4 address, or a host name, is this computer's; by default the kernel tells
     """
-    from arpd.adapters.host import kernel
+    from arpd.host import kernel
 
     host = host_of(url)
     return host in {"localhost", "::1"} or (bool(host) and (is_own_address or kernel.is_own_address)(host))

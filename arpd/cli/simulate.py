@@ -21,9 +21,9 @@ from arpd.model.quantities import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.adapters.sim.robot import SimTopic
-    from arpd.adapters.sim.trace import LinkTrace
     from arpd.model.settings import Settings
+    from arpd.sim.robot import SimTopic
+    from arpd.sim.trace import LinkTrace
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
 _DEFAULT_S = 60.0  # when the trace is shorter
@@ -103,11 +103,11 @@ def _add_link(group: argparse._ArgumentGroup) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from arpd.adapters.sim.demo import demo_topics
-    from arpd.adapters.sim.link import LinkModel
     from arpd.cli.comparison import Asked, comparison_document, comparison_tables
     from arpd.cli.progress import progress
     from arpd.daemon.compare import compare
+    from arpd.sim.demo import demo_topics
+    from arpd.sim.link import LinkModel
 
     given = {
         "loss": options.loss,
@@ -148,9 +148,9 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
     """Return the configuration's file, its settings, and the topics of which it says what they publish."""
-    from arpd.adapters.config.load import load_settings
-    from arpd.adapters.sim.demo import demo_settings
-    from arpd.adapters.sim.robot import configured_topics
+    from arpd.host.config.load import load_settings
+    from arpd.sim.demo import demo_settings
+    from arpd.sim.robot import configured_topics
 
     config: Path | None = options.config
     if config is None and options.default_config.exists():
@@ -173,8 +173,8 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
     """Return the trace, long enough for the run, and the length of the run (s)."""
-    from arpd.adapters.sim.schedule import RateSchedule
-    from arpd.adapters.sim.trace import LinkTrace, read_trace
+    from arpd.sim.schedule import RateSchedule
+    from arpd.sim.trace import LinkTrace, read_trace
 
     if options.trace is not None:
         trace = read_trace(options.trace)

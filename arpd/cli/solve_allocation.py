@@ -7,10 +7,10 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.load import load_settings
-from arpd.adapters.config.yaml_source import Fault, Place, config_error
 from arpd.cli.status_file import SavedStatus, read_status
 from arpd.govern.what_if import OfflinePlanner, spread
+from arpd.host.config.load import load_settings
+from arpd.host.config.yaml_source import Fault, Place, config_error
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.quantities import parse_rate, printable
 from arpd.model.settings import Backend

@@ -19,7 +19,7 @@ from arpd.model.names import is_hidden, is_internal
 from arpd.model.settings import AUTO, Settings
 
 if TYPE_CHECKING:
-    from arpd.adapters.config.first_file import LinkChoice
+    from arpd.host.config.first_file import LinkChoice
     from arpd.model.link_topics import TopicList
     from arpd.model.settings import RelaySettings
     from arpd.report.first_guess import FirstGuess
@@ -68,7 +68,7 @@ exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 7
     output.add_argument("--json", action="store_true", help="print JSON")
     link = parser.add_argument_group("with --suggest")
     link.add_argument("--robot", metavar="ADDRESS", help="this robot on the link (default: its address there now)")
-    link.add_argument("--ceddp", metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)")
+    link.add_argument("--base", metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)")
     parser.add_argument(
         "--config",
         type=Path,
@@ -100,9 +100,9 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 
 def _refuse_nonsense(options: argparse.Namespace) -> None:
-    from arpd.adapters.config.kinds import Address
+    from arpd.host.config.kinds import Address
 
-    for name in ("robot", "ceddp"):
+    for name in ("robot", "base"):
         given = getattr(options, name)
         if given is None:
             continue
@@ -116,7 +116,7 @@ def _refuse_nonsense(options: argparse.Namespace) -> None:
 
 def _settings(options: argparse.Namespace) -> Settings:
     """Return the configuration in force; the defaults where the default file is missing or wrong."""
-    from arpd.adapters.config.load import load_settings
+    from arpd.host.config.load import load_settings
 
     if options.config is not None:
         return load_settings(options.config, interfaces=None)
@@ -130,7 +130,7 @@ def _settings(options: argparse.Namespace) -> Settings:
 
 
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
-    from arpd.adapters.ros.runtime import ros_node
+    from arpd.ros.runtime import ros_node
 
     # As in arpd's units: shared memory works between processes of one user only, and this may be another one.
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
@@ -142,7 +142,7 @@ def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
         progress(f"measuring for {options.seconds:g} s", total=options.seconds) as shown,
         ros_node(f"arpd_topics_{os.getpid()}") as node,
     ):
-        from arpd.adapters.ros.topic_measuring import list_topics
+        from arpd.ros.topic_measuring import list_topics
 
         return list_topics(
             node,
@@ -177,13 +177,13 @@ def _document(listed: TopicList) -> dict[str, Any]:
 
 def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
     """Return where the link is: as given, as configured, or as this host's interfaces tell."""
-    from arpd.adapters.config.domain import local_domain
-    from arpd.adapters.config.first_file import LinkChoice
-    from arpd.adapters.host.interface import ipv4_addresses, likeliest_interface
+    from arpd.host.config.domain import local_domain
+    from arpd.host.config.first_file import LinkChoice
+    from arpd.host.interface import ipv4_addresses, likeliest_interface
 
     relay, here = settings.relay, local_domain()
     domains = (relay.link_domain, *_LINK_DOMAINS)
-    robot, ceddp = options.robot or relay.robot, options.ceddp or relay.ceddp
+    robot, base = options.robot or relay.robot, options.base or relay.base
     interface = ""
     if robot is None:
         wanted = settings.link.interface
@@ -192,7 +192,7 @@ def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
     return LinkChoice(
         link_domain=next(domain for domain in domains if domain is not None and domain != here),
         robot=robot,
-        ceddp=ceddp,
+        base=base,
         robot_is_guessed_from=interface if robot else "",
         interface=settings.link.interface,
     )
@@ -200,7 +200,7 @@ def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
 
 def _suggest(listed: TopicList, link: LinkChoice) -> None:
     """Print the configuration; what its reader should know besides goes to stderr."""
-    from arpd.adapters.config.first_file import first_file
+    from arpd.host.config.first_file import first_file
     from arpd.report.first_guess import first_guess
 
     guess = first_guess(listed.topics)
@@ -214,7 +214,7 @@ def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str
     remarks = []
     if link.robot_is_guessed_from:
         remarks.append(f"relay.robot is the address of {link.robot_is_guessed_from}; --robot gives another")
-    elif link.robot is None and link.ceddp is None:
+    elif link.robot is None and link.base is None:
         remarks.append("no address of this robot was found: fill in relay.robot, or give --robot")
     if unmeasured := [topic for topic in listed.topics if topic.traffic is None]:
         remarks.append(f"not measured: {', '.join(topic.name for topic in unmeasured)}; `arpd topics` says why")

@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from arpd.adapters.sim.baselines import Oracle
-from arpd.adapters.sim.result import percentile
 from arpd.daemon.scenario import run
 from arpd.model.link import LinkState
+from arpd.sim.baselines import Oracle
+from arpd.sim.result import percentile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.adapters.sim.link import LinkModel
-    from arpd.adapters.sim.robot import SimTopic
-    from arpd.adapters.sim.schedule import RateSchedule
     from arpd.daemon.scenario import Moment, ScenarioResult
     from arpd.model.settings import Settings
+    from arpd.sim.link import LinkModel
+    from arpd.sim.robot import SimTopic
+    from arpd.sim.schedule import RateSchedule
 
 WARM_UP_S = 10.0  # until the link is measured and the first plan applied; not part of any summary
 

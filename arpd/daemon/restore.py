@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.apply.progress import paced_restore_plan, progress, restore_plan
+from arpd.govern.progress import paced_restore_plan, progress, restore_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,14 +8,14 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.config.domain import local_domain
-from arpd.adapters.config.load import load_settings
-from arpd.adapters.host.addresses import Addresses
-from arpd.adapters.systemd.journal import configure_logging, log_event
-from arpd.adapters.systemd.notify import Notifier
 from arpd.daemon.gc import Garbage
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import Daemon
+from arpd.host.addresses import Addresses
+from arpd.host.config.domain import local_domain
+from arpd.host.config.load import load_settings
+from arpd.host.journal import configure_logging, log_event
+from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
 if TYPE_CHECKING:
@@ -53,15 +53,15 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
         return load_settings(config_path, interfaces=None, local_domain=local_domain())
 
     settings = load()  # before ROS is imported, so that a fault in the file shows at once
-    from arpd.adapters.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
+    from arpd.ros.runtime import control_node  # noqa: PLC0415 - the reason is above
 
     addresses = Addresses(lambda: daemon.interface)
     link_domain = settings.relay.link(is_far=False)
     with control_node("arpd", link_domain) as node, _own_domain(node, link_domain) as own_node:
-        from arpd.adapters.http.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
-        from arpd.adapters.http.service import serving  # noqa: PLC0415
-        from arpd.adapters.ros.diagnostics import Diagnostics  # noqa: PLC0415
-        from arpd.adapters.ros.world import RosControl  # noqa: PLC0415
+        from arpd.ros.diagnostics import Diagnostics  # noqa: PLC0415
+        from arpd.ros.world import RosControl  # noqa: PLC0415
+        from arpd.web.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
+        from arpd.web.service import serving  # noqa: PLC0415
 
         link, resting, garbage = settings.link.interface, threading.Event(), Garbage()
         world = RosControl(
@@ -112,7 +112,7 @@ def _own_domain(node: Any, link_domain: LinkDomain | None) -> Iterator[Any]:
     if link_domain is None:
         yield node
         return
-    from arpd.adapters.ros.runtime import ros_node  # noqa: PLC0415 - after the configuration
+    from arpd.ros.runtime import ros_node  # noqa: PLC0415 - after the configuration
 
     with ros_node("arpd") as own_node:
         yield own_node

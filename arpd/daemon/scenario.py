@@ -9,31 +9,31 @@ from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
-from arpd.adapters.sim.baselines import Truth
-from arpd.adapters.sim.demo import demo_topics
-from arpd.adapters.sim.ends import SimulatedEnd, SimulatedLinkTopic
-from arpd.adapters.sim.link import LinkModel, Loopback, SimulatedLink
-from arpd.adapters.sim.robot import SampleSource, SimulatedPublisher, SimulatedThread
-from arpd.adapters.sim.service import Service
-from arpd.adapters.sim.socket import SOCKET_BYTES
-from arpd.adapters.sim.timeline import Alarm, Timeline
-from arpd.adapters.sim.world import PLANNER, RELAY, SimulatedWorld
 from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
+from arpd.sim.baselines import Truth
+from arpd.sim.demo import demo_topics
+from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
+from arpd.sim.link import LinkModel, Loopback, SimulatedLink
+from arpd.sim.robot import SampleSource, SimulatedPublisher, SimulatedThread
+from arpd.sim.service import Service
+from arpd.sim.socket import SOCKET_BYTES
+from arpd.sim.timeline import Alarm, Timeline
+from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeAlias
 
-    from arpd.adapters.sim.foreign import ForeignFlow
-    from arpd.adapters.sim.result import TopicResult
-    from arpd.adapters.sim.robot import SimTopic
-    from arpd.adapters.sim.schedule import RateSchedule
-    from arpd.adapters.sim.socket import Carrier
     from arpd.daemon.world import CapacityEstimator
     from arpd.model.link import LinkState
     from arpd.model.settings import Settings
+    from arpd.sim.foreign import ForeignFlow
+    from arpd.sim.result import TopicResult
+    from arpd.sim.robot import SimTopic
+    from arpd.sim.schedule import RateSchedule
+    from arpd.sim.socket import Carrier
 
     EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
 
@@ -45,7 +45,7 @@ _SHOW_S = 0.1
 _UNIX_S = 1.7e9
 _TRUTH_S = 0.2  # the bound knows the mean rate of this time ahead; nobody could follow faster changes
 _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
-_ARPD_HEARTBEAT_S = 0.05  # arpd/adapters/ros/fastdds.xml
+_ARPD_HEARTBEAT_S = 0.05  # arpd/ros/fastdds.xml
 _RELAY_HOP_S = 0.0005
 _ON_HOST_S = 0.001
 

@@ -10,8 +10,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.systemd.notify import Notifier, Watchdog
 from arpd.daemon.tick import TICK_S, Daemon
+from arpd.host.notify import Notifier, Watchdog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,15 +10,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd import __version__
-from arpd.apply.broadcast import Broadcast
-from arpd.apply.progress import progress
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
 from arpd.daemon.turns import Turns
 from arpd.estimate.estimator import Estimator
+from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
+from arpd.govern.progress import progress
 from arpd.model.price import Price
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot, Totals
@@ -29,8 +29,8 @@ from arpd.solve.topics import Demand, memory_budget_bytes
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.apply.progress import Progress
     from arpd.daemon.world import CapacityEstimator, World
+    from arpd.govern.progress import Progress
     from arpd.model.allocation import Allocation, Topic
     from arpd.model.link import LinkEstimate, LinkState
     from arpd.model.observation import Observation

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class World(Protocol):
-    """The world of the daemon: ROS (`arpd.adapters.ros.world`), or a simulated link."""
+    """The world of the daemon: ROS (`arpd.ros.world`), or a simulated link."""
 
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
 from arpd.estimate.local_queue import StandingQueue
-from arpd.observe.receiver import PROMPT_S
+from arpd.estimate.receiver import PROMPT_S
 
 if TYPE_CHECKING:
     from arpd.model.probing import PeerReport

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class Direction(StrEnum):
     """Direction in which a topic crosses the link."""
 
-    SENSING = "sensing"  # robot computer -> CEDDP (the paper's SPt)
-    ACTUATION = "actuation"  # CEDDP -> robot computer (the paper's PAAt)
+    SENSING = "sensing"  # robot computer -> base computer (the paper's SPt)
+    ACTUATION = "actuation"  # base computer -> robot computer (the paper's PAAt)
     LOCAL = "local"  # does not cross the link (no reader on the other host)
 
 

@@ -32,7 +32,7 @@ _FAULTS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkCounters:
-    """Counters of an interface, as `arpd.adapters.host.interface` follows them.
+    """Counters of an interface, as `arpd.host.interface` follows them.
 
     Parameters
     ----------

@@ -30,10 +30,10 @@ class RelaySummary:
 
     Parameters
     ----------
-    other_host : host of the CEDDP's end, empty while it was never heard
+    other_host : host of the base computer's end, empty while it was never heard
     is_reachable : whether that end spoke lately
     fault : why its messages are not understood, empty if they are
-    to_ceddp, to_robot : topics by direction
+    to_base, to_robot : topics by direction
     received, doubled, unknown, outdated : samples that the robot's end got: written there, had before, of unknown
         writers, and delayed by an outage until a newer one had come
     link_bytes : what both ends' chunks took of the link, headers and acknowledgements included
@@ -46,7 +46,7 @@ class RelaySummary:
     other_host: str = ""
     is_reachable: bool = False
     fault: str = ""
-    to_ceddp: RelayTopics = field(default_factory=RelayTopics)
+    to_base: RelayTopics = field(default_factory=RelayTopics)
     to_robot: RelayTopics = field(default_factory=RelayTopics)
     received: int = 0
     doubled: int = 0

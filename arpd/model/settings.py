@@ -1,4 +1,4 @@
-"""Settings of the operator, as frozen values; `arpd.adapters.config` builds them from YAML."""
+"""Settings of the operator, as frozen values; `arpd.host.config` builds them from YAML."""
 
 from __future__ import annotations
 
@@ -171,9 +171,9 @@ class RelaySettings:
     overflow : treatment of samples above the paced rate, by topic; ``latest`` when not named
     depths : KEEP_LAST depth before the first plan, by topic; 10 when not named
     link_domain : ROS domain in which only arpd's processes live; None = one end, with the prefix
-    robot, ceddp : address of each end on the link; None = unknown, then the other one must be known
-    namespace : stands before all of the robot's names on the CEDDP; empty = none
-    to_ceddp, to_robot : patterns of the topics that may cross in each direction
+    robot, base : address of each end on the link; None = unknown, then the other one must be known
+    namespace : stands before all of the robot's names on the base computer; empty = none
+    to_base, to_robot : patterns of the topics that may cross in each direction
     deny : patterns of names that cross in neither
     services, actions : patterns of those that may be called across the link, from either side
     groups : topics thinned together
@@ -186,9 +186,9 @@ class RelaySettings:
     depths: dict[str, int] = field(default_factory=dict)
     link_domain: int | None = None
     robot: str | None = None
-    ceddp: str | None = None
+    base: str | None = None
     namespace: str = ""
-    to_ceddp: tuple[str, ...] = ("/**",)
+    to_base: tuple[str, ...] = ("/**",)
     to_robot: tuple[str, ...] = ("/**",)
     deny: tuple[str, ...] = ()
     services: tuple[str, ...] = ()
@@ -206,11 +206,11 @@ class RelaySettings:
 
         Parameters
         ----------
-        is_far : whether that end is the CEDDP's
+        is_far : whether that end is the base computer's
         """
         if self.link_domain is None:
             return None
-        return LinkDomain(domain_id=self.link_domain, peer=(self.robot if is_far else self.ceddp) or "")
+        return LinkDomain(domain_id=self.link_domain, peer=(self.robot if is_far else self.base) or "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

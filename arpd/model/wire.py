@@ -14,7 +14,7 @@ _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
 _RTPS_BYTES = 20 + 16 + 60
 DATA_BYTES = _RTPS_BYTES + 12 + 24  # INFO_TS and the DATA submessage's header
 _DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
-#: Largest RTPS message of arpd's writers (arpd/adapters/ros/fastdds.xml). Fast DDS keeps room for a heartbeat in each.
+#: Largest RTPS message of arpd's writers (arpd/ros/fastdds.xml). Fast DDS keeps room for a heartbeat in each.
 _MESSAGE_BYTES = 1392
 FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
 #: Most packets of a small sample: it comes before larger ones, and the floor of `defaults` holds for it.
@@ -23,7 +23,7 @@ HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
 ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
 #: Largest IP packet of arpd's writers.
 PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
-#: Heartbeat period of arpd's writers (arpd/adapters/ros/fastdds.xml) while something is unacknowledged.
+#: Heartbeat period of arpd's writers (arpd/ros/fastdds.xml) while something is unacknowledged.
 HEARTBEAT_S = 0.05
 #: And of the one that carries small samples of many topics: each waits for a lost one before it.
 QUICK_HEARTBEAT_S = 0.02

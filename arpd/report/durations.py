@@ -54,7 +54,7 @@ class Distribution:
 _TICK = Distribution.over(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 # A dozen topics take a millisecond, a thousand some ten (scripts/bench/solve.py).
 _SOLVE = Distribution.over(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
-# The timeouts of `arpd.apply.endpoint.writer_swap.SwapTiming` lie between bounds, never on one: 0.3, 3, 4 and 10 s.
+# The timeouts of `arpd.endpoint.writer_swap.SwapTiming` lie between bounds, never on one: 0.3, 3, 4 and 10 s.
 _PHASE = Distribution.over(0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 2.9, 3.5, 4.5, 7.5, 9.5, 15.0)
 
 

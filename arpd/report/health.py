@@ -200,7 +200,7 @@ class Facts:
 
     Parameters
     ----------
-    is_far : whether this computer is the base computer (CEDDP) and not the robot
+    is_far : whether this computer is the base computer and not the robot
     interface : the link here, empty = none was found
     has_two_ends : whether the configuration has a relay with two ends
     config_path, faults : configuration file, and its faults

@@ -25,10 +25,10 @@ _ARPDS_PROCESSES = 2  # on another host, with one end: `arpd run` and `arpd rela
 
 _SERVE_WITHOUT_INTERNET = (
     "printf 'allow\\nlocal stratum 10\\n' | sudo tee /etc/chrony/conf.d/arpd.conf && sudo systemctl restart chrony"
-    "   # without internet, on the CEDDP"
+    "   # without internet, on the base computer"
 )
 _FOLLOW_WITHOUT_INTERNET = (
-    "echo 'server ADDRESS_OF_CEDDP iburst' | sudo tee /etc/chrony/sources.d/ceddp.sources && sudo systemctl restart "
+    "echo 'server ADDRESS_OF_BASE iburst' | sudo tee /etc/chrony/sources.d/base.sources && sudo systemctl restart "
     "chrony   # without internet, on the robot"
 )
 
@@ -52,7 +52,7 @@ _WORST_LAST = [Health.FINE, Health.UNKNOWN, Health.WRONG]
 def clock(facts: Facts) -> Finding:
     """Judge the offset between the ends: tf2 compares time stamps of both."""
     if not (clocks := known(facts.clocks)):
-        return unknown("no peer was heard in the last minute; run `arpd peer` on the CEDDP")
+        return unknown("no peer was heard in the last minute; run `arpd peer` on the base computer")
     found = max(map(_of_peer, sorted(clocks, key=lambda each: -abs(each.offset_s or 0.0))), key=_badness)
     is_right = facts.is_clock_synchronised
     if found.health is Health.UNKNOWN and is_right is False:
@@ -60,7 +60,7 @@ def clock(facts: Facts) -> Finding:
     if found.health is not Health.WRONG:
         return found
     here = {True: "; this computer's is synchronised", False: "; this computer's is not synchronised", None: ""}
-    other = "the robot" if facts.is_far else "the CEDDP"
+    other = "the robot" if facts.is_far else "the base computer"
     where = {True: f"on {other}", False: f"here; then run `arpd doctor` on {other}", None: f"here and on {other}"}
     mend = f"sudo apt install chrony   # {where[is_right]}"
     return wrong(found.text + here[is_right], mend, _SERVE_WITHOUT_INTERNET, _FOLLOW_WITHOUT_INTERNET)

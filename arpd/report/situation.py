@@ -263,12 +263,16 @@ def _relay_faults(snapshot: Snapshot) -> Iterator[Finding]:
     if relay is None:
         return
     if relay.fault:
-        yield Finding(Condition.RELAY_CUT, f"the CEDDP's end is not understood: {relay.fault}")
+        yield Finding(Condition.RELAY_CUT, f"the base computer's end is not understood: {relay.fault}")
     elif not relay.is_reachable and snapshot.link.state is not LinkState.OUTAGE:
-        who = f"the CEDDP's end on {relay.other_host} is silent" if relay.other_host else "no end on the CEDDP is heard"
+        who = (
+            f"the base computer's end on {relay.other_host} is silent"
+            if relay.other_host
+            else "no end on the base computer is heard"
+        )
         start = "start it there: sudo systemctl enable --now arpd-relay-far"
         yield Finding(Condition.RELAY_CUT, f"{who}, so no topic crosses; {start}; or see its journal")
-    if refused := {**relay.to_robot.refused, **relay.to_ceddp.refused}:
+    if refused := {**relay.to_robot.refused, **relay.to_base.refused}:
         first, *more = sorted(refused)
         also = f"; also {listed(more)}" if more else ""
         yield Finding(Condition.RELAY_REFUSES, f"{short(first)}: {refused[first]}{also}")

@@ -14,7 +14,7 @@ Every key carries its unit; measured values have five digits. ``null`` stands fo
 - in ``after_seconds`` of ``lease`` a plan that outlives its daemon,
 - in ``loss_ratio`` and ``return_delay_seconds`` what nobody measures.
 
-Within ``v1`` keys are only added; `arpd.adapters.http.api.status` describes each.
+Within ``v1`` keys are only added; `arpd.web.api.status` describes each.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def _without_peer(snapshot: Snapshot) -> str:
 def _of_two_ends(relay: RelaySummary | None) -> str:
     if relay is None or not relay.is_reachable:
         return "topics cross once both ends of the relay run"
-    offered, wanted = (relay.to_ceddp.offered + relay.to_robot.offered, relay.to_ceddp.wanted + relay.to_robot.wanted)
+    offered, wanted = (relay.to_base.offered + relay.to_robot.offered, relay.to_base.wanted + relay.to_robot.wanted)
     if wanted:
         return f"the relay begins to carry {count(wanted, 'topic')}"
     if offered:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from arpd.adapters.sim.result import percentile
+from arpd.sim.result import percentile
 from scripts.bench.samples import sources_of
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arpd.adapters.sim.demo import DEMO_CONFIG, demo_settings, demo_topics
-from arpd.adapters.sim.trace import read_trace
 from arpd.govern.what_if import OfflinePlanner
 from arpd.model.endpoints import Direction
 from arpd.model.wire import wire_size
+from arpd.sim.demo import DEMO_CONFIG, demo_settings, demo_topics
+from arpd.sim.trace import read_trace
 from arpd.solve.eq4 import Eq4Problem, rate_of
 from arpd.solve.topics import assumed_traffic
 from scripts.bench.child import ChildError

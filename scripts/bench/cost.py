@@ -12,7 +12,7 @@ from functools import partial
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.sim.result import percentile
+from arpd.sim.result import percentile
 from scripts.bench.adapt import demo_robot
 from scripts.bench.harness import SIDES, Robot, world_of
 from scripts.bench.links import MBIT
@@ -206,7 +206,7 @@ def _rested(nodes: int, side: str, *, is_quick: bool) -> dict[str, Any]:
     with world_of(Robot(topics=()), SIDES[side], rate=FAST) as world, ExitStack() as stack:
         world.start(stack)
         time.sleep(5.0 if world.daemons else 0.0)
-        far = world.child(stack, "ceddp", "crowd", "1000", "0")
+        far = world.child(stack, "base", "crowd", "1000", "0")
         far.receive()
         began_s, before = time.monotonic(), _sent(world)
         firsts = range(0, nodes, _PER_PROCESS)

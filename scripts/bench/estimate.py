@@ -18,19 +18,19 @@ from random import Random
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from arpd.adapters.sim.baselines import Oracle
-from arpd.adapters.sim.demo import demo_settings, demo_topics
-from arpd.adapters.sim.foreign import ForeignFlow
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.loss import GilbertElliott
-from arpd.adapters.sim.result import percentile
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.adapters.sim.trace import read_trace
 from arpd.daemon.compare import WARM_UP_S, between, summarize
 from arpd.daemon.scenario import run
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
+from arpd.sim.baselines import Oracle
+from arpd.sim.demo import demo_settings, demo_topics
+from arpd.sim.foreign import ForeignFlow
+from arpd.sim.link import LinkModel
+from arpd.sim.loss import GilbertElliott
+from arpd.sim.result import percentile
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.trace import read_trace
 from scripts.bench.adapt import WALK
 from scripts.bench.links import MBIT
 from scripts.bench.report import Summary, figure, table

@@ -72,8 +72,8 @@ def config() -> Fuzzable:
     """Feed a configuration: arpd makes settings of it, or names each fault in one clear line."""
     import yaml
 
-    from arpd.adapters.config.load import load_settings
-    from arpd.adapters.config.schema import SECTIONS
+    from arpd.host.config.load import load_settings
+    from arpd.host.config.schema import SECTIONS
 
     keys = {key for section in SECTIONS.values() for key in section.model_fields}
     shipped = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_bytes())
@@ -136,8 +136,8 @@ def status_file() -> Fuzzable:
 
 def trace() -> Fuzzable:
     """Feed a link trace: arpd makes rates and losses of it, or refuses it in one line."""
-    from arpd.adapters.sim.trace import read_trace
     from arpd.model.errors import TraceError
+    from arpd.sim.trace import read_trace
 
     path = memory_file()
 
@@ -162,7 +162,7 @@ def trace() -> Fuzzable:
 
 def web_config() -> Fuzzable:
     """Feed a web-config: arpd makes a protection of it, or names each fault in one clear line."""
-    from arpd.adapters.http.web_config import load_protection
+    from arpd.web.web_config import load_protection
 
     seeds = (
         b"tls_server_config: {cert_file: a.pem, key_file: a.key, min_version: TLS12}\n",
@@ -193,8 +193,8 @@ def _feed_config(load: Callable[[Path], object]) -> Callable[[bytes], None]:
 
 def report() -> Fuzzable:
     """Feed a peer's report: arpd refuses it, or its values are possible and survive another encoding."""
-    from arpd.adapters.ros.probe_messages import decode_report, encode_report
     from arpd.model.probing import PeerReport, Train
+    from arpd.ros.probe_messages import decode_report, encode_report
 
     def feed(data: bytes) -> None:
         try:
@@ -211,7 +211,7 @@ def report() -> Fuzzable:
             insist(again.trains == found.trains and again.delays_s == found.delays_s, f"the same again: {again}")
 
     some = PeerReport(
-        peer="ceddp",
+        peer="base",
         received_at_s=1.0,
         interval_s=0.1,
         rx_bytes=1000,
@@ -225,7 +225,7 @@ def report() -> Fuzzable:
 
 def probe() -> Fuzzable:
     """Feed a probe packet: arpd refuses it, or it has a valid index in its train."""
-    from arpd.adapters.ros.probe_messages import ProbeHeader, decode_probe, encode_probe
+    from arpd.ros.probe_messages import ProbeHeader, decode_probe, encode_probe
 
     def feed(data: bytes) -> None:
         try:
@@ -241,11 +241,11 @@ def probe() -> Fuzzable:
 
 def snapshot() -> Fuzzable:
     """Feed what a node tells: arpd refuses it, or makes possible states of it that the node can tell again."""
-    from arpd.adapters.ros.documents import unpack
-    from arpd.adapters.ros.node_snapshot import MOST_BYTES, decode_snapshot, encode_snapshot
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
+    from arpd.ros.documents import unpack
+    from arpd.ros.node_snapshot import MOST_BYTES, decode_snapshot, encode_snapshot
 
     def feed(data: bytes) -> None:
         try:
@@ -268,11 +268,11 @@ def snapshot() -> Fuzzable:
 
 def plan() -> Fuzzable:
     """Feed a plan: a node refuses it, or makes valid rows of it."""
-    from arpd.adapters.ros.bounds import checked_row
-    from arpd.adapters.ros.documents import unpack
-    from arpd.adapters.ros.plan_message import decode_plan, encode_plan
     from arpd.model.endpoints import WriterQos
     from arpd.model.plan import TopicPlan
+    from arpd.ros.bounds import checked_row
+    from arpd.ros.documents import unpack
+    from arpd.ros.plan_message import decode_plan, encode_plan
 
     own = WriterQos(depth=10, deadline_ns=0)
 

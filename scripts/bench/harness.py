@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 from pyroute2 import IPRoute, netns
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.account import Account
 from scripts.bench.child import Child, becomes_true
 from scripts.bench.links import at, link_of
@@ -280,7 +280,7 @@ class World:
         is_over.set()
         carried = self._carried()
         return {
-            "to_base_mbit": (carried["ceddp"] - carried_before["ceddp"]) * 8e-6 / seconds,
+            "to_base_mbit": (carried["base"] - carried_before["base"]) * 8e-6 / seconds,
             "to_robot_mbit": (carried["robot"] - carried_before["robot"]) * 8e-6 / seconds,
             "cpu_s": {name: cpu_s - cpu_before_s.get(name, 0.0) for name, cpu_s in self._footprints("cpu_s").items()},
             "first_rss_bytes": first_rss,
@@ -333,10 +333,10 @@ class World:
         about = {"topics": list(map(asdict, self.robot.topics)), "way": asdict(self.side.way)}
         world.write_text(json.dumps({**about, "service": asdict(service) if service else None}), "utf-8")
         names = dict.fromkeys(topic.node for topic in self.robot.topics if not topic.answers)
-        hosts: dict[str, HostName] = {name: "ceddp" if name == BASE else "robot" for name in names}
-        hosts |= {ROBOT_SINK: "robot", BASE_SINK: "ceddp"} if names else {}
+        hosts: dict[str, HostName] = {name: "base" if name == BASE else "robot" for name in names}
+        hosts |= {ROBOT_SINK: "robot", BASE_SINK: "base"} if names else {}
         if service:
-            hosts |= {service.node: "robot", CALLER: "ceddp"}
+            hosts |= {service.node: "robot", CALLER: "base"}
         for name, host in hosts.items():
             self.children[name] = self.child(stack, host, str(world), name)
         if self.side.ends == "bare":
@@ -365,7 +365,7 @@ class World:
             relay = {
                 "link_domain": _LINK_DOMAIN,
                 "robot": self.link.robot.address,
-                "ceddp": self.link.ceddp.address,
+                "base": self.link.base.address,
                 "to_robot": [topic.name for topic in self.robot.topics if topic.node == BASE],
                 **({"topics": queued} if queued else {}),
             }
@@ -391,9 +391,9 @@ class World:
 
     def start_daemon(self, name: str) -> None:
         """Start one of arpd's processes."""
-        host: HostName = "ceddp" if name in {"peer", "relay_far"} else "robot"
+        host: HostName = "base" if name in {"peer", "relay_far"} else "robot"
         command = {
-            "peer": ("arpd.cli", "peer", "--interface", self.link.ceddp.interface, "--name", "ceddp"),
+            "peer": ("arpd.cli", "peer", "--interface", self.link.base.interface, "--name", "base"),
             "run": ("arpd.cli", "run"),
             "relay": ("arpd.cli", "relay"),
             "relay_far": ("arpd.cli", "relay", "--far"),

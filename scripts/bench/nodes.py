@@ -333,7 +333,7 @@ class Process:
             # Only where nothing is read: an executor would take the samples.
             from rclpy.executors import SingleThreadedExecutor
 
-            from arpd.adapters.ros.runtime import spinning
+            from arpd.ros.runtime import spinning
 
             executor = SingleThreadedExecutor()
             executor.add_node(node)

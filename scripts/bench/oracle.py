@@ -20,11 +20,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.adapters.host.interface import read_counters
-from arpd.adapters.sim.baselines import Oracle, Truth
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.adapters.sim.service import Service
 from arpd.daemon.run import run_daemon
+from arpd.host.interface import read_counters
+from arpd.sim.baselines import Oracle, Truth
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.service import Service
 from scripts.bench.links import at
 from scripts.netns.simlink import INTERFACE
 

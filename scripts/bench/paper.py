@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
-from arpd.adapters.sim.result import percentile
+from arpd.sim.result import percentile
 from arpd.solve.eq4 import Eq4Problem, whole
 from scripts.bench.child import ChildError
 from scripts.bench.harness import SIDES, Robot, Side, world_of

@@ -24,7 +24,7 @@ class Host:
 
     Parameters
     ----------
-    name : ``robot`` or ``ceddp``
+    name : ``robot`` or ``base``
     namespace : name of its network namespace
     interface : name of its end of the veth pair
     address, peer_address : IPv4 addresses of this end and of the other

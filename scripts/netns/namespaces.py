@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 T = TypeVar("T")
-HostName = Literal["robot", "ceddp"]
-HOST_NAMES: tuple[HostName, HostName] = ("robot", "ceddp")
+HostName = Literal["robot", "base"]
+HOST_NAMES: tuple[HostName, HostName] = ("robot", "base")
 
 RUN_DIR = Path("/run/arpd-simlink")
 NETNS_DIR = Path("/run/netns")
 
 _RUN_ID = re.compile(r"[A-Za-z0-9_.-]{1,40}")
-_NAMESPACE = re.compile(r"arpd-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|ceddp)")
+_NAMESPACE = re.compile(r"arpd-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|base)")
 _GRACE_S = 2.0
 _POLL_S = 0.02
 _TICK_NS = 10**9 // os.sysconf("SC_CLK_TCK")

@@ -1,4 +1,4 @@
-"""Two hosts, ``robot`` and ``ceddp``, joined by one slow link, on one machine with real kernel networking.
+"""Two hosts, ``robot`` and ``base``, joined by one slow link, on one machine with real kernel networking.
 
 Each host is a network namespace; a veth pair joins them; a token bucket (tbf) with a byte-limited queue shapes each
 end, so real processes and real DDS traffic meet real queueing. An nftables rule drops packets at random where they
@@ -70,7 +70,7 @@ class SimLink:
 
     Attributes
     ----------
-    robot, ceddp : the two ends
+    robot, base : the two ends
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class SimLink:
         domain_id: int | None = None,
     ) -> None:
         self.run_id = run_id
-        self.robot, self.ceddp = _hosts(run_id)
+        self.robot, self.base = _hosts(run_id)
         # Above 101, the ports that DDS derives from the domain meet Linux's ephemeral ports.
         self.domain_id = 1 + zlib.crc32(run_id.encode()) % 101 if domain_id is None else domain_id
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
@@ -100,7 +100,7 @@ class SimLink:
     @property
     def hosts(self) -> tuple[Host, Host]:
         """The two ends, robot first."""
-        return (self.robot, self.ceddp)
+        return (self.robot, self.base)
 
     @property
     def rate_bytes_per_second(self) -> float:
@@ -272,7 +272,7 @@ def _user_namespace_verdict() -> str:
 def _hosts(run_id: str) -> tuple[Host, Host]:
     addresses = ("10.77.0.1", "10.77.0.2")  # constant, because namespaces separate two links
     macs = ("02:00:0a:4d:00:01", "02:00:0a:4d:00:02")
-    robot, ceddp = (
+    robot, base = (
         Host(
             name=name,
             namespace=namespace_of(run_id, name),
@@ -284,7 +284,7 @@ def _hosts(run_id: str) -> tuple[Host, Host]:
         )
         for own, name in enumerate(HOST_NAMES)
     )
-    return robot, ceddp
+    return robot, base
 
 
 def _burst_bytes(rate_bytes_per_second: float) -> int:

@@ -1,6 +1,6 @@
 """Run the same robot over the same link twice, with rclpy's defaults and with arpd, and compare.
 
-A planner on `ceddp` reads eleven sensors on `robot` and sends commands back; the link between them drops and recovers
+A planner on `base` reads eleven sensors on `robot` and sends commands back; the link between them drops and recovers
 by schedule. Both hosts are network namespaces of this machine, the link is a real rate-limited veth pair, and every
 process is the real one.
 """
@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
+from arpd.sim.schedule import RateSchedule
 from scripts.netns.simlink import SimLink, available, user_namespace_argv
 from scripts.robot.manner import RCLPY_DEFAULTS, WITH_TWO_ENDS
 from scripts.robot.proxy import window
@@ -151,8 +151,8 @@ def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides in virtual time."""
-    from arpd.adapters.sim.demo import demo_settings
     from arpd.daemon.scenario import run as simulate
+    from arpd.sim.demo import demo_settings
 
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:

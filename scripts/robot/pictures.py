@@ -22,11 +22,11 @@ from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.screen import Screen
 
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.cli.client import DaemonAddress
 from arpd.cli.frame import Frame
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
+from arpd.sim.schedule import RateSchedule
 from scripts.netns.simlink import SimLink, available
 from scripts.robot.manner import WITH_ARPD
 from scripts.robot.run import REPO, DemoError, lost_during, play, robot

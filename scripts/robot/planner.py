@@ -1,4 +1,4 @@
-"""The planner on the CEDDP: it reads every sensor topic and sends commands back.
+"""The planner on the base computer: it reads every sensor topic and sends commands back.
 
 Usage: python -m scripts.robot.planner PREFIX plain|adaptive OUT.json
 
@@ -15,7 +15,7 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 
 from arpd import AdaptivePublisher
-from arpd.adapters.sim.demo import COMMAND_TOPIC
+from arpd.sim.demo import COMMAND_TOPIC
 from scripts.robot.process import RCLPY_DEPTH, command_line, live, reading
 from scripts.robot.sensors import COMMAND_RATE_HZ, SENSORS
 from scripts.robot.stamped import StampedArrivals

@@ -13,7 +13,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from arpd.adapters.sim.result import TopicResult
+    from arpd.sim.result import TopicResult
 
 _HURT_P99_S = 0.25  # p99 of a default robot above this means that the link cannot carry the topic
 _HURT_LOSS = 0.001

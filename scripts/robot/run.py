@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE
-from arpd.adapters.sim.demo import COMMAND_TOPIC
-from arpd.adapters.sim.result import TopicResult
 from arpd.model.errors import ArpdError
+from arpd.ros.runtime import FASTDDS_PROFILE
+from arpd.sim.demo import COMMAND_TOPIC
+from arpd.sim.result import TopicResult
 from scripts.robot.proxy import window
 from scripts.robot.sensors import BASE_DRIVER, COMMAND_RATE_HZ, SENSORS, node_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from arpd.adapters.sim.schedule import RateSchedule
+    from arpd.sim.schedule import RateSchedule
     from scripts.netns.namespaces import HostName
     from scripts.netns.simlink import SimLink
     from scripts.robot.manner import Manner
@@ -85,13 +85,13 @@ class Side:
         self.start("relay", "robot", "arpd.cli", "relay", "--config", str(self.config))
 
     def start_far_relay(self) -> None:
-        """Start `arpd relay --far` on the CEDDP."""
-        self.start("relay_far", "ceddp", "arpd.cli", "relay", "--far", "--config", str(self.config))
+        """Start `arpd relay --far` on the base computer."""
+        self.start("relay_far", "base", "arpd.cli", "relay", "--far", "--config", str(self.config))
 
     def start_peer(self) -> None:
-        """Start `arpd peer` on the CEDDP."""
-        options = ("--interface", self.link.ceddp.interface, "--name", "ceddp", "--config", str(self.config))
-        self.start("peer", "ceddp", "arpd.cli", "peer", *options)
+        """Start `arpd peer` on the base computer."""
+        options = ("--interface", self.link.base.interface, "--name", "base", "--config", str(self.config))
+        self.start("peer", "base", "arpd.cli", "peer", *options)
 
     @property
     def prefix(self) -> str:
@@ -176,7 +176,7 @@ def robot(link: SimLink, workdir: Path, manner: Manner) -> Iterator[Side]:
     with contextlib.ExitStack() as stack:
         stack.callback(_end, side)
         out = str(workdir / "planner.json")
-        side.start("planner", "ceddp", "scripts.robot.planner", prefix, kind, out, env=profile)
+        side.start("planner", "base", "scripts.robot.planner", prefix, kind, out, env=profile)
         if manner.is_managed:
             side.config.write_text(two_ended_config(link) if manner.has_two_ends else CONFIG.read_text())
             side.start_peer()
@@ -202,7 +202,7 @@ def two_ended_config(link: SimLink) -> str:
     document["relay"] = {
         "link_domain": 102,  # SimLink takes lower ones
         "robot": link.robot.address,
-        "ceddp": link.ceddp.address,
+        "base": link.base.address,
         "to_robot": [COMMAND_TOPIC],
     }
     return str(yaml.safe_dump(document))

@@ -28,7 +28,7 @@ from sensor_msgs.msg import (
     Temperature,
 )
 
-from arpd.adapters.sim.demo import COMMAND_TOPIC, demo_topics
+from arpd.sim.demo import COMMAND_TOPIC, demo_topics
 from scripts.robot.process import RCLPY_DEPTH, DemoNode, command_line, live, reading
 from scripts.robot.stamped import StampedArrivals
 

@@ -6,7 +6,7 @@ import struct
 import time
 from dataclasses import dataclass, field
 
-from arpd.adapters.sim.arrivals import Arrivals
+from arpd.sim.arrivals import Arrivals
 
 _HEADER = struct.Struct("<iII")  # std_msgs/Header in CDR: seconds, nanoseconds, length of frame_id
 _ENCAPSULATION_BYTES = 4

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.adapters.http.http_metrics import HttpCounts
-from arpd.adapters.http.metrics import SnapshotCollector
+from arpd.web.http_metrics import HttpCounts
+from arpd.web.metrics import SnapshotCollector
 from tests.golden.sample import FINISHED_AT_S
 
 GOLDEN = Path(__file__).with_name("exposition.txt")

@@ -11,8 +11,8 @@ import yaml
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from arpd.adapters.http.metrics import make_registry
 from arpd.report.events import EventKind
+from arpd.web.metrics import make_registry
 
 REPO = Path(__file__).parents[2]
 ETC = REPO / "etc" / "prometheus"

@@ -6,9 +6,9 @@ import time
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.names import PUBLISHERS_TOPIC
-from arpd.adapters.ros.node_snapshot import decode_snapshot
-from arpd.observe.nodes import Nodes
+from arpd.ros.names import PUBLISHERS_TOPIC
+from arpd.ros.node_snapshot import decode_snapshot
+from arpd.ros.nodes import Nodes
 
 
 class Announced:

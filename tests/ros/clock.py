@@ -2,8 +2,8 @@
 
 import time
 
-from arpd.adapters.ros.attached import attached
-from arpd.adapters.ros.node_publishers import NodePublishers
+from arpd.endpoint.node_publishers import NodePublishers
+from arpd.ros.attached import attached
 
 
 class SkippingClock:

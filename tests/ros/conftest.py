@@ -20,7 +20,7 @@ class Ros:
     def node(self, name, executor=None, **options):
         from rclpy.executors import SingleThreadedExecutor
 
-        from arpd.adapters.ros.runtime import spinning
+        from arpd.ros.runtime import spinning
 
         node = rclpy.create_node(name, context=self.context, **options)
         chosen = executor or SingleThreadedExecutor(context=self.context)
@@ -34,7 +34,7 @@ class Ros:
 def ros(monkeypatch):
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from arpd.adapters.ros.runtime import prepare_environment
+    from arpd.ros.runtime import prepare_environment
 
     prepare_environment()
     context = rclpy.Context()

@@ -15,24 +15,24 @@ from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
 
 REPO = Path(__file__).resolve().parents[2]
-ROBOT, CEDDP, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
+ROBOT, BASE, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
 
 
 class TwoEnds:
     """Starts, kills and restarts the ends; keeps their status lines."""
 
-    def __init__(self, folder, stack, relay=(), domains=(ROBOT, CEDDP)):
+    def __init__(self, folder, stack, relay=(), domains=(ROBOT, BASE)):
         self._folder = folder
         self._stack = self.nodes = stack
-        self._domains = dict(zip(("robot", "ceddp"), domains, strict=True))
+        self._domains = dict(zip(("robot", "base"), domains, strict=True))
         self.config = folder / "arpd.yaml"
         lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", *(f"  {line}" for line in relay)]
         self.config.write_text("relay:\n" + "\n".join(lines) + "\n")
         self.processes = {}
-        self.status = {"robot": "", "ceddp": ""}
+        self.status = {"robot": "", "base": ""}
 
     def start(self, *ends, **environment):
-        for end in ends or ("robot", "ceddp"):
+        for end in ends or ("robot", "base"):
             address = self._listen(end)
             self.processes[end] = subprocess.Popen(
                 [
@@ -40,7 +40,7 @@ class TwoEnds:
                     "-m",
                     "arpd.cli",
                     "relay",
-                    *(["--far"] if end == "ceddp" else []),
+                    *(["--far"] if end == "base" else []),
                     "--config",
                     self.config,
                 ],

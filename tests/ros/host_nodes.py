@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 from test_msgs.srv import BasicTypes
 
-from arpd.adapters.ros.runtime import prepare_environment
+from arpd.ros.runtime import prepare_environment
 
 PERIOD_S = 0.02
 DEEP = QoSProfile(depth=500)  # ten seconds of samples

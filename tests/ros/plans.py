@@ -4,10 +4,10 @@ from array import array
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.ros.daemon_messages import plan_qos
-from arpd.adapters.ros.documents import pack, unpack
-from arpd.adapters.ros.names import PLAN_TOPIC
-from arpd.adapters.ros.plan_message import encode_plan
+from arpd.ros.daemon_messages import plan_qos
+from arpd.ros.documents import pack, unpack
+from arpd.ros.names import PLAN_TOPIC
+from arpd.ros.plan_message import encode_plan
 
 
 class Plans:

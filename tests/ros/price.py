@@ -4,9 +4,9 @@ import math
 
 from std_msgs.msg import Float64MultiArray
 
-from arpd.adapters.ros.names import PRICE_TOPIC
-from arpd.adapters.ros.price_message import encode_price
 from arpd.model.price import Price
+from arpd.ros.names import PRICE_TOPIC
+from arpd.ros.price_message import encode_price
 
 FREE = Price(share_per_weight=math.inf, capacity_bytes_per_second=1e6)
 TERMS = {"weight": 1.0, "wire_bytes": 1000.0, "packets": 1}

@@ -25,7 +25,7 @@ class Link:
         self._wire = wire
         self._folder = folder
         self.config = folder / "arpd.yaml"
-        relay = {"link_domain": DOMAIN + 1, "robot": wire.robot.address, "ceddp": wire.ceddp.address}
+        relay = {"link_domain": DOMAIN + 1, "robot": wire.robot.address, "base": wire.base.address}
         lines = [f"  {key}: {value}" for key, value in relay.items()]
         self.config.write_text("\n".join(["relay:", "  services: [/add]", *lines, ""]))
 
@@ -69,9 +69,9 @@ def link(tmp_path):
 def test_both_ends_carry_everything_over_the_simulated_link(link, eventually):
     """Samples and commands arrive in order and once, a call is answered, and a picture comes whole and delays none."""
     link.start("robot", "near", "-m", "arpd.cli", "relay", "--config", link.config)
-    link.start("ceddp", "far", "-m", "arpd.cli", "relay", "--config", link.config, "--far")
+    link.start("base", "far", "-m", "arpd.cli", "relay", "--config", link.config, "--far")
     link.start("robot", "robot", HERE / "host_nodes.py", "robot")
-    link.start("ceddp", "base", HERE / "host_nodes.py", "base")
+    link.start("base", "base", HERE / "host_nodes.py", "base")
     eventually("the robot's samples reach the base computer", lambda: len(link.heard("base", "/odom")) > ENOUGH)
     eventually("the commands reach the robot", lambda: len(link.heard("robot", "/cmd")) > ENOUGH)
     eventually("the call of the robot's service is answered", lambda: link.heard("base", "/add") == [42])

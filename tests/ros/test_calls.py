@@ -24,20 +24,20 @@ from sensor_msgs.srv import SetCameraInfo
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes, Empty
 
-from arpd.adapters.ros.ends import calls as calls_module
-from arpd.adapters.ros.ends.calls import Calls, GhostService
-from arpd.adapters.ros.ends.ghosts import GhostNodes
-from arpd.adapters.ros.ends.types import UnknownTypeError, message_class, service_class
-from arpd.adapters.ros.runtime import prepare_environment, spinning
-from arpd.apply.relay.calls import FailureReason, Request
-from arpd.apply.relay.offers import ServiceOffer
-from arpd.apply.relay.selection import far_name, robot_name
+from arpd.relay.calls import FailureReason, Request
+from arpd.relay.ends import calls as calls_module
+from arpd.relay.ends.calls import Calls, GhostService
+from arpd.relay.ends.ghosts import GhostNodes
+from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
+from arpd.relay.offers import ServiceOffer
+from arpd.relay.selection import far_name, robot_name
+from arpd.ros.runtime import prepare_environment, spinning
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
 
 STATE_S = 0.1
-ROBOT, CEDDP = DOMAIN, DOMAIN + 1
+ROBOT, BASE = DOMAIN, DOMAIN + 1
 
 
 class Wire:
@@ -141,18 +141,18 @@ class Side:
 
 
 class World:
-    """A robot and a CEDDP, the relay between them, and nodes on either side."""
+    """A robot and a base computer, the relay between them, and nodes on either side."""
 
     def __init__(self, stack):
         self._stack = stack
-        self.robot_nodes, self.ceddp_nodes = (Side(domain, stack) for domain in (ROBOT, CEDDP))
-        self.robot = self.ceddp = None
+        self.robot_nodes, self.base_nodes = (Side(domain, stack) for domain in (ROBOT, BASE))
+        self.robot = self.base = None
 
     def relay(self, executor=EventsExecutor, *, namespace="", **options):
         self.robot = End("robot", ROBOT, executor, **options)
-        self.ceddp = End("ceddp", CEDDP, executor, namespace=namespace, **options)
-        self.robot.other, self.ceddp.other = self.ceddp, self.robot
-        for end in (self.robot, self.ceddp):
+        self.base = End("base", BASE, executor, namespace=namespace, **options)
+        self.robot.other, self.base.other = self.base, self.robot
+        for end in (self.robot, self.base):
             self._stack.callback(end.stop)
             end.start()
         stopping = threading.Event()
@@ -164,30 +164,30 @@ class World:
     def _tell(self, stopping):
         while not stopping.wait(STATE_S):
             self.robot.tell()
-            self.ceddp.tell()
+            self.base.tell()
 
-    def other_ceddp_nodes(self):
-        return Side(CEDDP, self._stack)
+    def other_base_nodes(self):
+        return Side(BASE, self._stack)
 
     def restart_robot(self):
         old, new = self.robot, End("robot", ROBOT, EventsExecutor)
         old.stop()
-        new.other, self.ceddp.other = self.ceddp, new
+        new.other, self.base.other = self.base, new
         self.robot = new
         self._stack.callback(new.stop)
         new.start()
 
     def lose(self, share):
-        self.robot.wire.loss = self.ceddp.wire.loss = share
+        self.robot.wire.loss = self.base.wire.loss = share
 
     def pass_time(self, seconds, eventually):
         """Let both ends' clocks jump ahead, and the ends see it."""
         before_s = time.monotonic()
-        for end in (self.robot, self.ceddp):
+        for end in (self.robot, self.base):
             end.ahead_s += seconds
         eventually(
             "both have looked twice",
-            lambda: all(end.calls._look_s > before_s + seconds + 3 * STATE_S for end in (self.robot, self.ceddp)),
+            lambda: all(end.calls._look_s > before_s + seconds + 3 * STATE_S for end in (self.robot, self.base)),
         )
 
 
@@ -232,9 +232,9 @@ def test_a_service_is_called_across_a_bad_link(world, eventually, executor):
     """Each of many calls at once gets its own answer, and runs once, although every third record is lost."""
     doubler = Doubler(world.robot_nodes.node("calculator", namespace="/tools"))
     world.relay(executor)
-    client = world.ceddp_nodes.client(BasicTypes, "/double")
+    client = world.base_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
-    looker = world.ceddp_nodes.node("looker")
+    looker = world.base_nodes.node("looker")
     eventually("the ghost has its name", lambda: serves(looker, "/tools/calculator", "/double"))
     world.lose(0.3)
     for first in (0, 8, 16):  # a client of ROS has room for ten responses
@@ -243,9 +243,9 @@ def test_a_service_is_called_across_a_bad_link(world, eventually, executor):
         assert answers == [2 * (first + number) for number in range(8)]
     assert sorted(doubler.runs) == list(range(24))
     world.lose(0.0)
-    eventually("no call is left", lambda: world.ceddp.under_way == world.robot.under_way[::-1] == (0, 0))
-    assert not world.ceddp.calls.failures
-    assert not world.ceddp.calls.offers  # its own ghost is no service of its side
+    eventually("no call is left", lambda: world.base.under_way == world.robot.under_way[::-1] == (0, 0))
+    assert not world.base.calls.failures
+    assert not world.base.calls.offers  # its own ghost is no service of its side
 
 
 def serves(node, name, service):
@@ -262,40 +262,40 @@ def test_a_call_under_way_delays_no_other(world, eventually):
     requests, server = silent_server(world.robot_nodes.node("slow"), "test_msgs/srv/BasicTypes", "/slow")
     Doubler(world.robot_nodes.node("calculator"))
     world.relay()
-    slow, fast = world.ceddp_nodes.client(BasicTypes, "/slow"), world.ceddp_nodes.client(BasicTypes, "/double")
+    slow, fast = world.base_nodes.client(BasicTypes, "/slow"), world.base_nodes.client(BasicTypes, "/double")
     eventually("both services cross", lambda: slow.service_is_ready() and fast.service_is_ready())
     waiting = slow.call_async(BasicTypes.Request())
     eventually("the call reaches its server", lambda: requests)
     assert finished(eventually, fast.call_async(BasicTypes.Request(int32_value=4))).int32_value == 8
     assert not waiting.done()
     world.pass_time(130.0, eventually)
-    eventually("both ends forget it", lambda: world.ceddp.under_way == world.robot.under_way == (0, 0))
+    eventually("both ends forget it", lambda: world.base.under_way == world.robot.under_way == (0, 0))
     assert not any(client.futures for client in world.robot.calls._served._clients.values())
     slow.call_async(BasicTypes.Request())
     eventually("the call reaches its server", lambda: len(requests) == 2)
     server.destroy()
-    eventually("both ends forget it", lambda: world.ceddp.under_way == world.robot.under_way == (0, 0))
-    assert world.ceddp.calls.failures == {"timeout": 1, "no_server": 1}
+    eventually("both ends forget it", lambda: world.base.under_way == world.robot.under_way == (0, 0))
+    assert world.base.calls.failures == {"timeout": 1, "no_server": 1}
 
 
-def test_names_on_the_ceddp_have_the_namespace(world, eventually):
-    """The robot's services are under the namespace, the CEDDP's own ones cross without it, and others do not cross."""
+def test_names_on_the_base_have_the_namespace(world, eventually):
+    """The robot's services are under the namespace, the base computer's own cross without it, and others do not cross."""
     up = Doubler(world.robot_nodes.node("calculator"), "/double")
-    down = Doubler(world.ceddp_nodes.node("planner", namespace="/spot"), "/spot/plan")
-    Doubler(world.ceddp_nodes.node("alien"), "/alien")
+    down = Doubler(world.base_nodes.node("planner", namespace="/spot"), "/spot/plan")
+    Doubler(world.base_nodes.node("alien"), "/alien")
     world.relay(namespace="/spot")
-    to_robot, to_ceddp = (
-        world.ceddp_nodes.client(BasicTypes, "/spot/double"),
+    to_robot, to_base = (
+        world.base_nodes.client(BasicTypes, "/spot/double"),
         world.robot_nodes.client(BasicTypes, "/plan"),
     )
-    eventually("both services cross", lambda: to_robot.service_is_ready() and to_ceddp.service_is_ready())
+    eventually("both services cross", lambda: to_robot.service_is_ready() and to_base.service_is_ready())
     finished(eventually, to_robot.call_async(BasicTypes.Request(int32_value=1)))
-    finished(eventually, to_ceddp.call_async(BasicTypes.Request(int32_value=2)))
+    finished(eventually, to_base.call_async(BasicTypes.Request(int32_value=2)))
     assert (up.runs, down.runs) == ([1], [2])
-    here, there = world.ceddp_nodes.node("looker"), world.robot_nodes.node("looker")
+    here, there = world.base_nodes.node("looker"), world.robot_nodes.node("looker")
     eventually("the ghost has its name", lambda: serves(here, "/spot/calculator", "/spot/double"))
     eventually("the ghost has its name", lambda: serves(there, "/planner", "/plan"))
-    assert set(world.ceddp.calls.offers) == {"/plan"}
+    assert set(world.base.calls.offers) == {"/plan"}
 
 
 def test_only_allowed_services_cross(world, eventually):
@@ -303,22 +303,22 @@ def test_only_allowed_services_cross(world, eventually):
     Doubler(world.robot_nodes.node("calculator"), "/double")
     secret = Doubler(world.robot_nodes.node("safe"), "/secret")
     world.relay(allows=lambda name: name == "/double")
-    client = world.ceddp_nodes.client(BasicTypes, "/double")
+    client = world.base_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
     assert set(world.robot.calls.offers) == {"/double"}
     answers = forged_call(world, "/secret")
     eventually("the forged call ends", lambda: answers)
     assert answers[0].reason is FailureReason.NO_SERVER
     assert not secret.runs
-    world.robot.wire.deliver(world.ceddp.session, b"no record")
+    world.robot.wire.deliver(world.base.session, b"no record")
     eventually("what is no record is counted", lambda: world.robot.calls.malformed == 1)
 
 
 def forged_call(world, service, type_name="test_msgs/srv/BasicTypes", body=b""):
-    """Call from the CEDDP what its own end would not call; returns the outcomes."""
+    """Call from the base computer what its own end would not call; returns the outcomes."""
     outcomes = []
     request = Request(service, type_name, body or serialize_message(BasicTypes.Request()))
-    caller = world.ceddp.calls._caller
+    caller = world.base.calls._caller
     caller.call(request, timeout_s=10.0, now_s=time.monotonic(), on_end=outcomes.append)
     return outcomes
 
@@ -349,7 +349,7 @@ def test_an_action_is_cancelled_across_the_link(world, eventually):
     handle = finished(eventually, client.send_goal_async(Fibonacci.Goal(order=1000)))
     result = handle.get_result_async()
     eventually("the robot's end has the call", lambda: world.robot.under_way == (0, 1))
-    assert world.ceddp.under_way == (1, 0)
+    assert world.base.under_way == (1, 0)
     world.pass_time(70.0, eventually)
     assert not result.done()
     cancelled = finished(eventually, handle.cancel_goal_async())
@@ -384,9 +384,9 @@ def serve_fibonacci(side, step_s=0.02):
 
 
 def action_client(world, eventually):
-    """Return a client on the CEDDP that sees the whole action; its two topics are carried by the test itself."""
+    """Return a client on the base computer that sees the whole action, whose two topics the test carries."""
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    carrier, math = world.robot_nodes.node("carrier"), world.ceddp_nodes.node("math_topics")
+    carrier, math = world.robot_nodes.node("carrier"), world.base_nodes.node("math_topics")
     for part, qos, type_name in (
         ("feedback", 10, "test_msgs/action/Fibonacci_FeedbackMessage"),
         ("status", latched, "action_msgs/msg/GoalStatusArray"),
@@ -394,7 +394,7 @@ def action_client(world, eventually):
         kind = message_class(type_name)
         publisher = math.create_publisher(kind, f"/fibonacci/_action/{part}", qos)
         carrier.create_subscription(kind, f"/fibonacci/_action/{part}", publisher.publish, qos, raw=True)
-    client = ActionClient(world.ceddp_nodes.node("user"), Fibonacci, "/fibonacci")
+    client = ActionClient(world.base_nodes.node("user"), Fibonacci, "/fibonacci")
     eventually("the service crosses", client.server_is_ready)
     return client
 
@@ -404,30 +404,30 @@ def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
     requests, _ = silent_server(world.robot_nodes.node("camera"), "sensor_msgs/srv/SetCameraInfo", "/set_camera_info")
     doubler = Doubler(world.robot_nodes.node("calculator"))
     world.relay()
-    client = world.ceddp_nodes.client(SetCameraInfo, "/set_camera_info")
+    client = world.base_nodes.client(SetCameraInfo, "/set_camera_info")
     eventually("the service crosses", client.service_is_ready)
     future = client.call_async(SetCameraInfo.Request())
     eventually("the call reaches its server", lambda: requests)
     world.restart_robot()
     assert "restarted" in finished(eventually, future).status_message
-    other = world.ceddp_nodes.client(BasicTypes, "/double")
+    other = world.base_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", other.service_is_ready)
     assert finished(eventually, other.call_async(BasicTypes.Request(int32_value=4))).int32_value == 8
     assert (len(requests), doubler.runs) == (1, [4])
-    assert world.ceddp.calls.failures == {"restarted": 1}
+    assert world.base.calls.failures == {"restarted": 1}
 
 
 def test_a_service_that_both_sides_serve_is_refused(world, eventually):
     """The server on the own side answers; without it, calls cross the link."""
     far = Doubler(world.robot_nodes.node("far"))
-    near = Doubler(world.other_ceddp_nodes().node("near"))
+    near = Doubler(world.other_base_nodes().node("near"))
     world.relay()
-    eventually("both ends refuse it", lambda: all("/double" in end.calls.refused for end in (world.ceddp, world.robot)))
-    client = world.ceddp_nodes.client(BasicTypes, "/double")
+    eventually("both ends refuse it", lambda: all("/double" in end.calls.refused for end in (world.base, world.robot)))
+    client = world.base_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
     finished(eventually, client.call_async(BasicTypes.Request(int32_value=1)))
     near.node.destroy_service(near.service)
-    eventually("it is refused no more", lambda: not world.ceddp.calls.refused)
+    eventually("it is refused no more", lambda: not world.base.calls.refused)
     eventually("the service crosses", client.service_is_ready)
     finished(eventually, client.call_async(BasicTypes.Request(int32_value=2)))
     assert (near.runs, far.runs) == ([1], [2])
@@ -439,10 +439,10 @@ def test_a_type_that_is_not_installed_here_is_named(world, eventually, monkeypat
     Doubler(world.robot_nodes.node("calculator"))
     world.robot_nodes.node("empty").create_service(Empty, "/empty", lambda _request, response: response)
     world.relay()
-    client = world.ceddp_nodes.client(BasicTypes, "/double")
+    client = world.base_nodes.client(BasicTypes, "/double")
     eventually("the service crosses", client.service_is_ready)
-    eventually("the other one is named", lambda: "not installed" in world.ceddp.calls.refused.get("/empty", ""))
-    assert set(world.ceddp.calls.refused) == {"/empty"}
+    eventually("the other one is named", lambda: "not installed" in world.base.calls.refused.get("/empty", ""))
+    assert set(world.base.calls.refused) == {"/empty"}
 
 
 def missing(type_name):

@@ -6,13 +6,13 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
 
-from arpd.adapters.ros.graph import writers_of
-from arpd.adapters.ros.listeners import OtherDaemons
-from arpd.adapters.ros.names import PRICE_TOPIC
-from arpd.adapters.ros.raw_reader import ReadingThread
-from arpd.adapters.ros.rcl import rcl
-from arpd.adapters.ros.refused_messages import RefusedMessages
 from arpd.model.observation import MessageKind, MessageRefusal
+from arpd.ros.graph import writers_of
+from arpd.ros.listeners import OtherDaemons
+from arpd.ros.names import PRICE_TOPIC
+from arpd.ros.raw_reader import ReadingThread
+from arpd.ros.rcl import rcl
+from arpd.ros.refused_messages import RefusedMessages
 from tests.ros.clock import SkippingClock
 from tests.ros.domain import DOMAIN
 from tests.ros.price import PriceSender

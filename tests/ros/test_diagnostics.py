@@ -11,12 +11,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from arpd.adapters.ros.crossing import read_graph
-from arpd.adapters.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
-from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.rmw import current_rmw
 from arpd.model.link import LinkState
 from arpd.report.decision_log import DecisionLog
+from arpd.ros.crossing import read_graph
+from arpd.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
+from arpd.ros.graph_view import GraphView
+from arpd.ros.rmw import current_rmw
 from tests.golden.sample import changed
 
 pytestmark = pytest.mark.ros

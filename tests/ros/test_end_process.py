@@ -26,11 +26,11 @@ def ends(ros, tmp_path):
 def test_an_end_that_calls_and_carries_stops_without_a_fault(ends, tmp_path, background, eventually):
     """SIGTERM ends both ends with status 0 and no traceback, although calls and samples arrive meanwhile."""
     ends.start()
-    robot, ceddp = ends.side("robot").node("server"), ends.side("ceddp").node("client")
+    robot, base = ends.side("robot").node("server"), ends.side("base").node("client")
     robot.create_service(BasicTypes, "/add", lambda _request, response: response)
     talker, heard = robot.create_publisher(String, "/talk", 10), []
-    ceddp.create_subscription(String, "/talk", heard.append, 10)
-    client = ceddp.create_client(BasicTypes, "/add")
+    base.create_subscription(String, "/talk", heard.append, 10)
+    client = base.create_client(BasicTypes, "/add")
     eventually("the service crosses", client.service_is_ready)
     answers = []
 
@@ -42,8 +42,8 @@ def test_an_end_that_calls_and_carries_stops_without_a_fault(ends, tmp_path, bac
     background(use)
     eventually("samples cross", lambda: len(heard) > 10)
     eventually("a call is answered", lambda: any(answer.done() for answer in answers))
-    assert [ends.end(end, signal.SIGTERM) for end in ("ceddp", "robot")] == [0, 0]
-    logs = [(tmp_path / f"{end}.log").read_text() for end in ("ceddp", "robot")]
+    assert [ends.end(end, signal.SIGTERM) for end in ("base", "robot")] == [0, 0]
+    logs = [(tmp_path / f"{end}.log").read_text() for end in ("base", "robot")]
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
 
 

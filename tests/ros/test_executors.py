@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.endpoint.writer_swap import SwapTiming
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros

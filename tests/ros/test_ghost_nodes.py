@@ -19,12 +19,12 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from test_msgs.srv import Empty
 
-from arpd.adapters.ros.ends.ghosts import GhostNodes, GhostWriter
-from arpd.adapters.ros.graph import deadline_ns_of
-from arpd.apply.endpoint.writer_swap import SwapState
-from arpd.apply.relay.envelope import Record
-from arpd.apply.relay.offers import WriterOffer
+from arpd.endpoint.writer_swap import SwapState
 from arpd.model.endpoints import WriterQos
+from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
+from arpd.relay.envelope import Record
+from arpd.relay.offers import WriterOffer
+from arpd.ros.graph import deadline_ns_of
 
 pytestmark = pytest.mark.ros
 TOPIC = "/ghostly"

@@ -11,11 +11,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros import graph_view
-from arpd.adapters.ros.crossing import read_graph
-from arpd.adapters.ros.graph import writers_of
-from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.rmw import current_rmw, rmw_of
+from arpd.ros import graph_view
+from arpd.ros.crossing import read_graph
+from arpd.ros.graph import writers_of
+from arpd.ros.graph_view import GraphView
+from arpd.ros.rmw import current_rmw, rmw_of
 
 pytestmark = pytest.mark.ros
 OTHER = rmw_of("rmw_cyclonedds_cpp")

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
+from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
@@ -20,8 +20,8 @@ import rclpy
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.names import PUBLISHERS_TOPIC
-from arpd.adapters.ros.node_snapshot import decode_snapshot
+from arpd.ros.names import PUBLISHERS_TOPIC
+from arpd.ros.node_snapshot import decode_snapshot
 
 rclpy.init()
 nodes = [rclpy.create_node(name) for name in ("one", "two")]

@@ -13,15 +13,15 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.adapters.host.interface import InterfaceReader, index_of
-from arpd.adapters.ros.names import PROBE_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.peer import serving
-from arpd.adapters.ros.probe_messages import ProbeHeader, decode_report, encode_probe
-from arpd.adapters.ros.world import RosControl
+from arpd.host.interface import InterfaceReader, index_of
 from arpd.model.interface import InterfaceState
 from arpd.model.probing import ProbeRequest
 from arpd.model.settings import GraphSettings
 from arpd.model.wire import probe_wire_bytes
+from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
+from arpd.ros.peer import serving
+from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.ros.world import RosControl
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros
@@ -52,7 +52,7 @@ class Daemon:
 @pytest.fixture
 def daemon(ros, eventually):
     daemon = Daemon(ros.node("daemon"))
-    with serving(ros.node("peer"), reader=InterfaceReader("lo"), name="ceddp-3f2a"):
+    with serving(ros.node("peer"), reader=InterfaceReader("lo"), name="base-3f2a"):
         eventually("the peer answers the daemon's probes", daemon.is_answered)
         yield daemon
 
@@ -86,7 +86,7 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually
         assert train.payload_bytes == train.packets * probe_wire_bytes(SIZE)
     number = probe(1)
     eventually("the ping is answered", lambda: reports[-1].last_probe == number)
-    assert {report.peer for report in reports} == {"ceddp-3f2a"}
+    assert {report.peer for report in reports} == {"base-3f2a"}
     counts = [report.probe_packets for report in reports]
     assert counts == sorted(counts)
 
@@ -96,7 +96,7 @@ def test_the_daemon_knows_the_peers_clock(daemon, eventually):
 
     def clock():
         daemon.probe()
-        return daemon.observe().peer_clocks.get("ceddp-3f2a")
+        return daemon.observe().peer_clocks.get("base-3f2a")
 
     found = eventually("the clocks are compared", clock)
     assert found.uncertainty_s > 0
@@ -112,7 +112,7 @@ def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
             asked.append((interface, index))
             return 8_125_000.0
 
-    monkeypatch.setattr("arpd.adapters.ros.world.Radio", Radio)
+    monkeypatch.setattr("arpd.ros.world.Radio", Radio)
     daemon = Daemon(ros.node("arpd"))
     first = daemon.observe()
     assert (first.counters.interface, first.counters.state) == ("lo", InterfaceState.UP)

@@ -16,11 +16,11 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.raw_reader import Sample
-from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
+from arpd.ros.raw_reader import Sample
 from tests.ros.announced import Announced
 from tests.ros.clock import SkippingClock
 from tests.ros.price import FREE, TERMS, PriceSender, costing

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.adapters.ros.raw_reader import RawReader, ReadingThread
+from arpd.ros.raw_reader import RawReader, ReadingThread
 
 pytestmark = pytest.mark.ros
 

@@ -11,7 +11,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.apply.progress import is_confirmed
+from arpd.govern.progress import is_confirmed
 from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import TopicPlan
 

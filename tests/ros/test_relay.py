@@ -12,12 +12,12 @@ import rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
-from arpd.adapters.ros.ends.participants import Participants
-from arpd.adapters.ros.ends.prefix import Prefixed
-from arpd.adapters.ros.ends.survey import Surveyed
-from arpd.adapters.ros.ends.types import UnknownTypeError
-from arpd.adapters.ros.graph import Endpoint
 from arpd.model.settings import Overflow, RelaySettings
+from arpd.relay.ends.participants import Participants
+from arpd.relay.ends.prefix import Prefixed
+from arpd.relay.ends.survey import Surveyed
+from arpd.relay.ends.types import UnknownTypeError
+from arpd.ros.graph import Endpoint
 from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import is_whole, numbers
 
@@ -203,7 +203,7 @@ def test_mixed_and_missing_types_are_named(elsewhere, lines, carry, monkeypatch,
             raise UnknownTypeError(f"{type_name} is not installed here")
         return String
 
-    monkeypatch.setattr("arpd.adapters.ros.ends.prefix.message_class", found)
+    monkeypatch.setattr("arpd.relay.ends.prefix.message_class", found)
     first, second = elsewhere("first"), elsewhere("second")
     first.create_publisher(Empty, "/missing", 10)
     first.create_publisher(String, "/mixed", 10)

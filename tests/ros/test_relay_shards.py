@@ -20,9 +20,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.ends.participants import Participants
-from arpd.adapters.ros.ends.prefix import Prefixed
 from arpd.model.settings import RelaySettings
+from arpd.relay.ends.participants import Participants
+from arpd.relay.ends.prefix import Prefixed
 from tests.ros.domain import DOMAIN
 from tests.waiting import PATIENCE_S
 
@@ -169,7 +169,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
 def test_topics_of_large_samples_that_share_a_participant_are_named(ros, stack, monkeypatch, eventually):
     """Two such topics more than there may be participants for them are named, and so is the one they join."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    monkeypatch.setattr("arpd.adapters.ros.ends.participants._MOST_LARGE", 1)
+    monkeypatch.setattr("arpd.relay.ends.participants._MOST_LARGE", 1)
     participants, warnings = stack.enter_context(closing(Participants(ros.node("crowded")))), []
     (node,) = {participants.of(topic, is_large=True) for topic in TOPICS[:3]}
     logger = SimpleNamespace(warning=lambda words, **_throttle: warnings.append(words))

@@ -21,7 +21,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.apply.endpoint.writer_swap import SwapTiming
+from arpd.endpoint.writer_swap import SwapTiming
 from tests.ros.price import FREE
 
 pytestmark = pytest.mark.ros

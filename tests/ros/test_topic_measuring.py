@@ -15,9 +15,9 @@ import rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
-from arpd.adapters.ros.link_topics import is_confined
-from arpd.adapters.ros.topic_measuring import list_topics
 from arpd.model.names import is_internal
+from arpd.ros.link_topics import is_confined
+from arpd.ros.topic_measuring import list_topics
 from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import TwoEnds
@@ -90,11 +90,11 @@ def test_both_ends_of_a_real_relay(tmp_path, ros, survey, eventually):
     """With two ends, `arpd topics` shows the other side's nodes, and makes no topic cross that nobody reads."""
     with ExitStack() as stack:
         ends = TwoEnds(tmp_path, stack).start()
-        robot, ceddp = ends.side("robot").node("lidar"), ends.side("ceddp").node("planner")
+        robot, base = ends.side("robot").node("lidar"), ends.side("base").node("planner")
         publish_often(robot, String, "/scan", 10, rate_hz=20, message=String())
-        publish_often(ceddp, String, "/cmd_vel", 10, rate_hz=20, message=String())
-        unread = publish_often(ceddp, String, "/unread", 10, rate_hz=20, message=String())
-        ceddp.create_subscription(String, "/scan", lambda _sample: None, 10)
+        publish_often(base, String, "/cmd_vel", 10, rate_hz=20, message=String())
+        unread = publish_often(base, String, "/unread", 10, rate_hz=20, message=String())
+        base.create_subscription(String, "/scan", lambda _sample: None, 10)
         arrived = []
         robot.create_subscription(String, "/cmd_vel", arrived.append, 10)
         eventually("the commands arrive", lambda: len(arrived) > 20)

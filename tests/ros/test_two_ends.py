@@ -20,14 +20,14 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
-from arpd.adapters.ros.graph_view import GraphView
-from arpd.adapters.ros.names import PUBLISHERS_TOPIC
-from arpd.adapters.ros.world import RosControl
-from arpd.apply.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, wrap
-from arpd.apply.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
+from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, wrap
+from arpd.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
+from arpd.ros.graph_view import GraphView
+from arpd.ros.names import PUBLISHERS_TOPIC
+from arpd.ros.world import RosControl
 from tests.ros.ends_world import ROBOT, Counter, TwoEnds, is_whole, numbers
 from tests.ros.plans import Plans
 from tests.ros.price import TERMS
@@ -118,14 +118,16 @@ def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(ends, talkin
     """A topic crosses under its own name while somebody reads it there, and the robot's writer has no reader before."""
     writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", RELIABLE)
     talking(writer)
-    far = ends.side("ceddp").node("planner")
+    far = ends.side("base").node("planner")
     eventually("the topic shows", lambda: "/chatter" in dict(far.get_topic_names_and_types()))
     assert writer.publisher.get_subscription_count() == 0
     received = []
     reader = far.create_subscription(String, "/chatter", lambda message: received.append(message.data), RELIABLE)
     eventually("samples arrive", lambda: len(received) > 50)
     assert is_whole(received, "sensor")
-    eventually("the status counts it", lambda: ends.status["robot"].startswith("1 of 1 topics cross to the CEDDP"))
+    eventually(
+        "the status counts it", lambda: ends.status["robot"].startswith("1 of 1 topics cross to the base computer")
+    )
     far.destroy_subscription(reader)
     eventually("it is read no more", lambda: writer.publisher.get_subscription_count() == 0)
 
@@ -144,7 +146,7 @@ def test_the_far_side_looks_as_the_robot(ends, eventually):
     sensor = robot.node("sensor", namespace="/left")
     sensor.create_publisher(String, "/looks", profile)
     robot.node("other").create_publisher(String, "/looks", latched(3))
-    far = ends.side("ceddp").node("rqt")
+    far = ends.side("base").node("rqt")
     eventually("both writers show", lambda: far.count_publishers("/looks") == 2)
 
     def shown(node):
@@ -186,7 +188,7 @@ def test_a_ghost_lives_while_its_original_asserts_its_liveliness(ends, backgroun
 
     background(live)
     callbacks = SubscriptionEventCallbacks(liveliness=lambda event: alive.append(event.alive_count))
-    far = ends.side("ceddp").node("planner")
+    far = ends.side("base").node("planner")
     far.create_subscription(String, "/motor", lambda _message: None, profile, event_callbacks=callbacks)
     eventually("the ghost lives", lambda: alive and alive[-1] == 1)
     asserts.clear()
@@ -198,27 +200,27 @@ def test_a_ghost_lives_while_its_original_asserts_its_liveliness(ends, backgroun
 
 def test_every_latched_writer_keeps_its_own_history(ends, eventually):
     """A late reader gets the one sample of a quiet latched writer beside the last ones of a busy one."""
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    robot, base = ends.side("robot"), ends.side("base")
     quiet = Counter(robot.node("quiet"), String, "/tf_static", latched(1))
     busy = Counter(robot.node("busy"), String, "/tf_static", latched(1))
     quiet.publish()
     busy.publish(50)
-    first = listen(ceddp.node("first"), "/tf_static", latched(100))
+    first = listen(base.node("first"), "/tf_static", latched(100))
     eventually("each one's last sample arrives", lambda: set(first) == {"quiet 0", "busy 49"})
     busy.publish(300)
     eventually("the newest sample arrives", lambda: first[-1] == "busy 349")
     assert numbers(first, "busy") == sorted(set(numbers(first, "busy")))
-    late = listen(ceddp.node("late"), "/tf_static", latched(1000))
+    late = listen(base.node("late"), "/tf_static", latched(1000))
     eventually("a late reader gets both", lambda: {"quiet 0", "busy 349"} <= set(late))
 
 
 def test_writers_on_both_sides_of_one_topic_are_heard_once_on_both(ends, talking, eventually):
     """With writers and readers of /tf on both sides, each reader gets every sample once, and none circles."""
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
-    here = [listen(robot.node("robot_reader"), "/tf"), listen(ceddp.node("ceddp_reader"), "/tf")]
+    robot, base = ends.side("robot"), ends.side("base")
+    here = [listen(robot.node("robot_reader"), "/tf"), listen(base.node("base_reader"), "/tf")]
     talking(
         *(Counter(robot.node(name), String, "/tf", RELIABLE) for name in ("odom", "arm")),
-        Counter(ceddp.node("slam"), String, "/tf", RELIABLE),
+        Counter(base.node("slam"), String, "/tf", RELIABLE),
     )
     for received in here:
         for name in ("odom", "arm", "slam"):
@@ -228,8 +230,8 @@ def test_writers_on_both_sides_of_one_topic_are_heard_once_on_both(ends, talking
 
 def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(ends, talking, eventually):
     """A reliable reader hears the reliable writer only, a best-effort one both, as on the robot."""
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
-    strict, loose = listen(ceddp.node("strict"), "/mixed"), listen(ceddp.node("loose"), "/mixed", BEST_EFFORT)
+    robot, base = ends.side("robot"), ends.side("base")
+    strict, loose = listen(base.node("strict"), "/mixed"), listen(base.node("loose"), "/mixed", BEST_EFFORT)
     talking(
         Counter(robot.node("sure"), String, "/mixed", RELIABLE),
         Counter(robot.node("maybe"), String, "/mixed", BEST_EFFORT),
@@ -243,7 +245,7 @@ def test_a_reliable_writer_stays_reliable_beside_a_best_effort_one(ends, talking
 def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking, eventually):
     """A plan for a topic on the link reaches the far side's ghost, whose reader hears every sample once meanwhile."""
     talking(Counter(ends.side("robot").node("sensor"), String, "/planned", RELIABLE))
-    far = ends.side("ceddp").node("planner")
+    far = ends.side("base").node("planner")
     received = listen(far, "/planned")
     eventually("samples arrive", lambda: len(received) > 20)
     daemon = ends.link_side().node("daemon")
@@ -262,19 +264,19 @@ def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking,
 def test_types_that_differ_between_the_sides_are_named(ends, eventually):
     """A topic that has another type on the far side is named with both types."""
     ends.side("robot").node("sensor").create_publisher(String, "/two_types", 10)
-    listen(ends.side("ceddp").node("planner"), "/two_types", msg_type=Float64)
+    listen(ends.side("base").node("planner"), "/two_types", msg_type=Float64)
     words = "two types of /two_types: it is std_msgs/msg/String there and std_msgs/msg/Float64 here"
-    eventually("both types are named", lambda: words in ends.status["ceddp"])
+    eventually("both types are named", lambda: words in ends.status["base"])
 
 
 def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventually):
     """After a kill -9 of the robot's end its topics go on, and no reader gets a sample twice, latched ones neither."""
     ends = world().start()
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    robot, base = ends.side("robot"), ends.side("base")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
     talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
-    planner = ceddp.node("planner")
+    planner = base.node("planner")
     maps, received = listen(planner, "/map", latched(10)), listen(planner, "/chatter")
     eventually("the map and samples arrive", lambda: maps and len(received) > 20)
     ends.end("robot")
@@ -289,20 +291,20 @@ def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventual
 def test_a_killed_far_end_returns(world, talking, eventually):
     """After a kill -9 of the far end a reader there hears its topics again without a hole; a late one the history."""
     ends = world(*ORDERED).start()
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    robot, base = ends.side("robot"), ends.side("base")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
     talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
-    received = listen(ceddp.node("planner"), "/chatter")
+    received = listen(base.node("planner"), "/chatter")
     eventually("samples arrive", lambda: len(received) > 20)
-    ends.end("ceddp")
+    ends.end("base")
     before = len(received)
-    ends.start("ceddp")
+    ends.start("base")
     eventually("samples go on", lambda: len(received) > before + 300)  # the robot's end has taken note by then
     assert is_whole(received[before:], "sensor")
     found = numbers(received, "sensor")
     assert found == sorted(set(found))
-    maps = listen(ceddp.node("late"), "/map", latched(10))
+    maps = listen(base.node("late"), "/map", latched(10))
     eventually("a late reader gets the map", lambda: maps == ["map_server 0"])
 
 
@@ -316,8 +318,8 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
     listen(living, "/other", RELIABLE, UInt8MultiArray)
     heard = listen(living, "/arpd/relay/robot/small", RELIABLE, UInt8MultiArray)
-    states = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
-    signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    states = living.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
+    signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     wants = frozenset({"/map", "/other"})
     state = EndState(session="0" * 16, number=1, wants=wants, link_gids=GraphView.of(living).own.participant.hex())
     states.publish(wrap(encode_state(state)))
@@ -338,20 +340,20 @@ def test_without_its_other_end_an_end_waits(world, eventually):
     """An end whose other end is missing says so and carries nothing; it says so again when that one leaves for good."""
     ends = world().start("robot")
     writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
-    eventually("the end waits", lambda: "waiting for the CEDDP's end; 1 topics" in ends.status["robot"])
+    eventually("the end waits", lambda: "waiting for the base computer's end; 1 topics" in ends.status["robot"])
     assert writer.publisher.get_subscription_count() == 0
-    ends.start("ceddp")
-    eventually("the ends meet", lambda: "0 of 1 topics cross to the CEDDP" in ends.status["robot"])
-    ends.end("ceddp")
-    eventually("the silent end is named", lambda: "the CEDDP's end is silent" in ends.status["robot"])
+    ends.start("base")
+    eventually("the ends meet", lambda: "0 of 1 topics cross to the base computer" in ends.status["robot"])
+    ends.end("base")
+    eventually("the silent end is named", lambda: "the base computer's end is silent" in ends.status["robot"])
 
 
 def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     """An end that speaks another version is named with both versions, and nothing crosses."""
-    monkeypatch.setattr("arpd.apply.relay.offers.VERSION", 9)
+    monkeypatch.setattr("arpd.relay.offers.VERSION", 9)
     ends = world().start("robot")
     stranger = ends.link_side().node("stranger")
-    publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
+    publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
     publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
     words = "it speaks version 9 (arpd 9.9), this end version 4"
     eventually("both versions are named", lambda: words in ends.status["robot"])
@@ -372,8 +374,8 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
     }
     link_gids = GraphView.of(stranger).own.participant.hex()
     state = EndState(session="0" * 15 + "1", number=1, topics=topics, link_gids=link_gids)
-    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
-    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
+    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     states.publish(wrap(encode_state(state)))
     writers = {name: stranger.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
     heard = {name: listen(robot, name) for name in topics}
@@ -414,8 +416,8 @@ def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
     }
     state = EndState(session="0" * 16, number=1, topics=topics, link_gids=GraphView.of(stranger).own.participant.hex())
-    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp", latched(1))
-    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/ceddp/alive", 1)
+    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
+    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     states.publish(wrap(encode_state(state)))
 
     def is_refused():
@@ -432,7 +434,7 @@ def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventua
     robot = ends.side("robot")
     talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
     received = listen(robot.node("planner"), "/chatter")
-    for end in ("robot", "ceddp"):
+    for end in ("robot", "base"):
         eventually(f"the {end} end says so", lambda end=end: "both ends are in one ROS domain" in ends.status[end])
     before = len(received) + 50  # what was under way has arrived
     eventually("samples go on", lambda: len(received) > before + 50)
@@ -441,12 +443,12 @@ def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventua
 
 def test_only_what_the_configuration_lets_out_crosses(world, eventually):
     """Patterns and deny decide what crosses to which side, and the namespace stands before the robot's names there."""
-    ends = world("namespace: /r1", 'to_ceddp: ["/camera/**"]', 'to_robot: ["/goal"]', 'deny: ["/camera/raw"]').start()
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
+    ends = world("namespace: /r1", 'to_base: ["/camera/**"]', 'to_robot: ["/goal"]', 'deny: ["/camera/raw"]').start()
+    robot, base = ends.side("robot"), ends.side("base")
     node = robot.node("camera")
     for topic in ("/camera/image", "/camera/raw", "/secret"):
         node.create_publisher(String, topic, 10)
-    far = ceddp.node("planner")
+    far = base.node("planner")
     goals = listen(robot.node("base"), "/goal")
     goal = Counter(far, String, "/r1/goal", 10)
     far.create_publisher(String, "/goal", 10)
@@ -463,7 +465,7 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     """Thinned to two sets a second, a group delivers only whole sets: the same stamps on all its topics."""
     topics = ("/left/image", "/left/camera_info", "/right/image")
     ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}], by: stamp}}]").start()
-    camera, far = ends.side("robot").node("camera"), ends.side("ceddp").node("planner")
+    camera, far = ends.side("robot").node("camera"), ends.side("base").node("planner")
     kinds = (Image, CameraInfo, Image)
     writers = [camera.create_publisher(kind, topic, 10) for kind, topic in zip(kinds, topics, strict=True)]
     stamps = {topic: [] for topic in topics}
@@ -497,8 +499,8 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
 def test_services_and_actions_are_called_across_the_link(world, eventually):
     """Plain clients of services and actions call plain servers of the other side, in both directions."""
     ends = world("services: [/add, /far/add]", "actions: [/count]").start()
-    robot, ceddp = ends.side("robot"), ends.side("ceddp")
-    server, planner = robot.node("server"), ceddp.node("planner")
+    robot, base = ends.side("robot"), ends.side("base")
+    server, planner = robot.node("server"), base.node("planner")
 
     def add(request, response):
         response.uint64_value = request.uint64_value + 1
@@ -545,7 +547,7 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
     node = ends.link_side().node("arpd")
     daemon = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None, has_two_ends=True)
     talking(Counter(ends.side("robot").node("sensor"), String, "/chatter", 10))
-    listen(ends.side("ceddp").node("planner"), "/chatter")
+    listen(ends.side("base").node("planner"), "/chatter")
 
     def seen():
         return daemon.observe(time.monotonic())
@@ -553,10 +555,10 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
     def shows(condition):
         return (relay := seen().relay) is not None and condition(relay) and relay
 
-    relay = eventually("the daemon sees what crosses", lambda: shows(lambda relay: relay.to_ceddp.wanted == 1))
+    relay = eventually("the daemon sees what crosses", lambda: shows(lambda relay: relay.to_base.wanted == 1))
     assert (relay.is_reachable, relay.other_host, relay.fault) == (True, platform.node(), "")
-    assert (relay.to_ceddp.offered, relay.to_robot.offered, relay.to_ceddp.refused) == (1, 0, {})
-    ends.end("ceddp")
+    assert (relay.to_base.offered, relay.to_robot.offered, relay.to_base.refused) == (1, 0, {})
+    ends.end("base")
     eventually("the daemon sees who is silent", lambda: shows(lambda relay: not relay.is_reachable))
     liar = node.create_publisher(UInt8MultiArray, PUBLISHERS_TOPIC, BEST_EFFORT)
 

@@ -2,14 +2,14 @@
 
 from functools import cache
 
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.robot import SimTopic, configured_topics
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon.compare import LinkEvent, compare, events, summarize
 from arpd.daemon.scenario import Moment, ScenarioResult
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import RelaySettings, Settings, TopicSettings
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import SimTopic, configured_topics
+from arpd.sim.schedule import RateSchedule
 
 MBIT = 125_000.0
 FALL = "0:8mbit,15:2mbit"

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.adapters.sim import world
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon import scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import OnLost, ProgramSettings, Settings, TopicSettings
+from arpd.sim import world
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule
 from tests.sim.watched import watch
 
 LASTS_S = 25.0  # the sources end then

@@ -7,8 +7,8 @@ from functools import cache
 
 import pytest
 
-from arpd.adapters.sim.foreign import ForeignFlow
-from arpd.adapters.sim.link import LinkModel
+from arpd.sim.foreign import ForeignFlow
+from arpd.sim.link import LinkModel
 from tests.sim.test_price import MBIT, QUEUE, ROBOT, SETTINGS, at, goodput, play, queues
 
 FALLS_S, LASTS_S = 13.0, 28.0

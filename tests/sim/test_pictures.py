@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon.scenario import run
 from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule
 
 TOPICS = (
     SimTopic(name="/camera", payload_bytes=900_000, rate_hz=10.0),

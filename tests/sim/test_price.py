@@ -6,11 +6,11 @@ from dataclasses import replace
 from functools import cache
 from random import Random
 
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule, RateStep
 from tests.sim.watched import watch
 
 MBIT = 125_000.0

@@ -10,14 +10,14 @@ from random import Random
 
 import pytest
 
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.loss import GilbertElliott, LossStep
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
 from arpd.govern.plan import _SOURCE_MARGIN
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import Settings, TopicSettings
+from arpd.sim.link import LinkModel
+from arpd.sim.loss import GilbertElliott, LossStep
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.solve.topics import Demand
 from tests.sim.watched import Tick, watch
 

@@ -7,13 +7,13 @@ from functools import cache
 
 import pytest
 
-from arpd.adapters.sim.demo import demo_settings, demo_topics
-from arpd.adapters.sim.foreign import ForeignFlow
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon.scenario import run
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
+from arpd.sim.demo import demo_settings, demo_topics
+from arpd.sim.foreign import ForeignFlow
+from arpd.sim.link import LinkModel
+from arpd.sim.schedule import RateSchedule
 
 MBIT = 125_000.0
 STEADY_S = 60.0
@@ -46,7 +46,7 @@ def right(moments):
 
 
 def goodput(result, start_s, end_s):
-    """Return the payload that reached the CEDDP in a span (bytes/s)."""
+    """Return the payload that reached the base computer in a span (bytes/s)."""
     moments = between(result, start_s, end_s)
     return (moments[-1].delivered_bytes - moments[0].delivered_bytes) / (moments[-1].t_s - moments[0].t_s)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.adapters.sim.link import LinkModel
-from arpd.adapters.sim.robot import SimTopic
-from arpd.adapters.sim.schedule import RateSchedule
 from arpd.daemon.scenario import run
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Policy, ProgramSettings, Settings
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import SimTopic
+from arpd.sim.schedule import RateSchedule
 
 PACED = {"/camera": 30_000, "/scan": 6000, "/odom": 700}  # bytes
 SOURCE_HZ, SLOW_HZ = 20.0, 1.5

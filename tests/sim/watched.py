@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 from unittest import mock
 
-from arpd.adapters.sim.world import SimulatedWorld
 from arpd.daemon import scenario
 from arpd.daemon.tick import Daemon
+from arpd.sim.world import SimulatedWorld
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from arpd.adapters.sim.schedule import RateSchedule
     from arpd.daemon.scenario import ScenarioResult
     from arpd.model.endpoints import PublisherState
     from arpd.model.observation import Observation
     from arpd.model.plan import Decision
     from arpd.model.settings import Settings
     from arpd.report.snapshot import Snapshot
+    from arpd.sim.schedule import RateSchedule
 
 STARTS_S = 1000.0  # of the sensors, on the clock of the daemon
 

@@ -6,8 +6,8 @@ import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from arpd.adapters.sim.demo import demo_topics
 from arpd.report.status import status_document
+from arpd.sim.demo import demo_topics
 from tests.golden.sample import FINISHED_AT_S, changed
 from tests.sample_publishers import publisher
 

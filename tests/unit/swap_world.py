@@ -1,6 +1,6 @@
 """A middleware for the swap's tests: it makes writers that do as they are told, and remembers them all."""
 
-from arpd.apply.endpoint.writer_swap import WriterSwap
+from arpd.endpoint.writer_swap import WriterSwap
 from arpd.model.endpoints import WriterQos
 
 FIRST = WriterQos(depth=10, deadline_ns=0)

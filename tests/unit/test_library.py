@@ -12,7 +12,7 @@ import pytest
 import arpd
 
 REPO = Path(__file__).resolve().parents[2]
-PUBLISHER = "arpd.adapters.ros.publisher"
+PUBLISHER = "arpd.endpoint.publisher"
 DEPENDS = {str(depend.text) for depend in ET.parse(REPO / "package.xml").iter("exec_depend")}
 
 
@@ -120,8 +120,8 @@ def test_import_arpd_loads_nothing_slow(python):
     ("command", "packages", "missing", "way_out"),
     [
         ("run", {}, "pydantic cannot be imported by", "scripts/deb"),
-        ("relay", {}, "pydantic cannot be imported by", "scripts/deb"),
-        ("peer", {}, "pydantic cannot be imported by", "scripts/deb"),
+        ("relay", {}, "psutil cannot be imported by", "scripts/deb"),
+        ("peer", {}, "psutil cannot be imported by", "scripts/deb"),
         ("run", {"pydantic": ""}, "pydantic cannot be imported by", "cannot import name"),
         ("check", {"pydantic": "import std_msgs"}, "std_msgs cannot be imported by", "/opt/ros/jazzy/setup.bash"),
     ],

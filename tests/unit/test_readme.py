@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from arpd.adapters.config.load import load_settings
 from arpd.cli.main import _parser
+from arpd.host.config.load import load_settings
 
 REPO = Path(__file__).resolve().parents[2]
 UNITS = {path.stem for path in (REPO / "systemd").glob("*.service")}
@@ -58,7 +58,7 @@ def _is_usage(arguments):
 
 def _names_the_profile(arguments):
     found = re.fullmatch(r"FASTRTPS_DEFAULT_PROFILES_FILE=/usr/share/arpd/(\S+)", arguments[0])
-    return bool(found) and (REPO / "arpd/adapters/ros" / found[1]).is_file()
+    return bool(found) and (REPO / "arpd/ros" / found[1]).is_file()
 
 
 KNOWN = {

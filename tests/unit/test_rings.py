@@ -6,9 +6,19 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "arpd"
-STAGES = ("model", "observe", "estimate", "solve", "govern", "apply", "report")  # ring 1, in the order of a tick
-ADAPTERS = {"adapters"}  # ring 2
+STAGES = ("model", "estimate", "solve", "govern", "report")  # ring 1, in the order of a tick
+ADAPTERS = {"endpoint", "relay", "ros", "host", "web", "sim"}  # ring 2
 ENTRY_POINTS = {"daemon", "cli"}  # ring 3
+#: Where rclpy may be imported: folders, and modules.
+ROS = (
+    "arpd.ros",
+    "arpd.relay.ends",
+    "arpd.relay.main",
+    "arpd.endpoint.publisher",
+    "arpd.endpoint.writer",
+    "arpd.endpoint.writing_thread",
+    "arpd.endpoint.node_publishers",
+)
 TOUCHES_THE_WORLD = {
     "http",
     "os",
@@ -25,7 +35,6 @@ TOUCHES_THE_WORLD = {
 }
 SOLVERS = {"cvxpy", "osqp", "scipy"}
 MODULES = sorted(PACKAGE.rglob("*.py"))
-PURE = [path for path in MODULES if path.relative_to(PACKAGE).parts[0] in STAGES]
 
 
 def name_of(path):
@@ -34,6 +43,15 @@ def name_of(path):
 
 def folder_of(module):
     return [*module.split("."), ""][1]
+
+
+def has_ros(module):
+    """Whether a module stands on the list of those that may import rclpy."""
+    return any(module == name or module.startswith(name + ".") for name in ROS)
+
+
+IN_ORDER = [path for path in MODULES if folder_of(name_of(path)) in STAGES]
+PURE = IN_ORDER + [p for p in MODULES if folder_of(name_of(p)) in {"endpoint", "relay"} and not has_ros(name_of(p))]
 
 
 def imports(path):
@@ -63,7 +81,16 @@ def test_the_pure_ring_touches_nothing(path):
     assert path.stem in {"osqp_", "cvxpy_"} or not roots & SOLVERS
 
 
-@pytest.mark.parametrize("path", PURE, ids=ids)
+@pytest.mark.parametrize("path", [p for p in MODULES if not has_ros(name_of(p))], ids=ids)
+def test_one_list_says_where_ros_is(path):
+    """Nothing but the listed folders and modules imports ROS's packages when it is imported itself."""
+    body = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = [alias.name for node in body if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module or "" for node in body if isinstance(node, ast.ImportFrom)]
+    assert not [name for name in names if name.partition(".")[0] == "rclpy"]
+
+
+@pytest.mark.parametrize("path", IN_ORDER, ids=ids)
 def test_a_stage_imports_earlier_stages_only(path):
     """A stage of the tick knows itself and the stages before it."""
     reach = STAGES[: STAGES.index(folder_of(name_of(path))) + 1]

@@ -99,7 +99,7 @@ def launch(monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "started"),
-    [("robot.launch.py", {"run": [], "relay": []}), ("ceddp.launch.py", {"peer": [], "relay": ["--far"]})],
+    [("robot.launch.py", {"run": [], "relay": []}), ("base.launch.py", {"peer": [], "relay": ["--far"]})],
 )
 def test_a_launch_file_starts_what_its_computer_needs(launch, name, started):
     """The command line of each process is one that arpd accepts, with the values of the launch arguments."""

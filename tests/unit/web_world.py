@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 from prometheus_client import CollectorRegistry
 
-from arpd.adapters.http.http_metrics import HttpCounts
-from arpd.adapters.http.server import HttpServer
+from arpd.web.http_metrics import HttpCounts
+from arpd.web.server import HttpServer
 
 HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
 PASSWORD = "correct horse"

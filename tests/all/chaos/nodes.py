@@ -14,9 +14,9 @@ from collections import defaultdict
 from contextlib import contextmanager
 from dataclasses import replace
 
-from arpd.adapters.ros import rmw
-from arpd.adapters.ros.writer import RosWriter
-from arpd.apply.endpoint.writer_swap import SwapState, WriterSwap
+from arpd.endpoint.writer import RosWriter
+from arpd.endpoint.writer_swap import SwapState, WriterSwap
+from arpd.ros import rmw
 from scripts.bench.child import answer, commands, number_of, sample_of
 
 RATE_HZ = 20.0
@@ -105,7 +105,7 @@ def obey_aside(stops):
 def spun(name):
     from rclpy.executors import SingleThreadedExecutor
 
-    from arpd.adapters.ros.runtime import ros_node, spinning
+    from arpd.ros.runtime import ros_node, spinning
 
     with ros_node(name) as node:
         executor = SingleThreadedExecutor()

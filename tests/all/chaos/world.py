@@ -24,9 +24,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from arpd.adapters.ros.graph import deadline_ns_of
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from arpd.model.plan import PlanAnswer, TopicPlan
+from arpd.ros.graph import deadline_ns_of
+from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
 from scripts.bench.child import number_of, sample_of
 from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from tests.ros.announced import Announced

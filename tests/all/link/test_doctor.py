@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.runtime import PROFILE_VARIABLES
+from arpd.ros.runtime import PROFILE_VARIABLES
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import INTERFACE, SimLink
 from tests.all.link.hosts import NEEDS_LINK, ip, python
@@ -71,7 +71,7 @@ def ends(tmp_path):
 def test_both_ends_are_looked_at(ends):
     """One clock is one; the node without the profile is found, and only it; a small MTU is wrong where it is."""
     ends.start("robot", "run", "-m", "arpd.cli", "run", "--config", str(ends.config))
-    ends.start("ceddp", "peer", "-m", "arpd.cli", "peer")
+    ends.start("base", "peer", "-m", "arpd.cli", "peer")
     ends.start("robot", "node", "-c", NODE)
     found = {}
 
@@ -82,8 +82,8 @@ def test_both_ends_are_looked_at(ends):
     eventually("the doctor knows the clocks and the node without a profile", knows)
     assert "/camera" in found["profile"][1]
     assert (found["mtu"][0], found["discovery"][0], found["versions"][0]) == ("fine", "unknown", "fine")
-    ip(ends.link.ceddp, "link", "set", INTERFACE, "mtu", "1300")
-    far = ends.doctor("ceddp", "--url", "http://10.77.0.1:9464")
+    ip(ends.link.base, "link", "set", INTERFACE, "mtu", "1300")
+    far = ends.doctor("base", "--url", "http://10.77.0.1:9464")
     assert (far["clock"][0], far["mtu"][0], far["versions"][0]) == ("fine", "wrong", "fine")
     assert "at both ends" in far["versions"][1]
     assert "1 of this computer" not in far["discovery"][1]  # the peer is arpd's own
@@ -97,7 +97,7 @@ def test_both_ends_are_looked_at(ends):
 
 def test_with_two_ends_a_node_that_announces_itself_is_found(ends):
     """The relay carries its topics, so nothing but arpd belongs on the link."""
-    ends.config.write_text("relay: {link_domain: 103, robot: 10.77.0.1, ceddp: 10.77.0.2}\n")
+    ends.config.write_text("relay: {link_domain: 103, robot: 10.77.0.1, base: 10.77.0.2}\n")
     assert ends.doctor("robot", "--listen", "1")["discovery"][0] == "fine"
     ends.start("robot", "node", "-c", NODE)
     eventually("the node is found", lambda: ends.doctor("robot", "--listen", "4")["discovery"][0] == "wrong")

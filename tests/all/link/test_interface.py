@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 pytestmark = NEEDS_LINK
 READER = """
 import json, logging, sys
-from arpd.adapters.host.interface import InterfaceReader
-from arpd.adapters.host.radio import Radio
+from arpd.host.interface import InterfaceReader
+from arpd.host.radio import Radio
 from arpd.model.interface import state_of
 logging.basicConfig(stream=sys.stderr, format="%(message)s", level="INFO")
 reader = InterfaceReader(sys.argv[1])
@@ -40,7 +40,7 @@ for _ in sys.stdin:
 PUBLISHER = """
 import json, sys, threading, time
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.runtime import ros_node
+from arpd.ros.runtime import ros_node
 from std_msgs.msg import String
 
 class Listener(AdaptivePublisher):
@@ -59,8 +59,8 @@ DAEMON = """
 import json, sys, time
 from arpd.model.price import Price
 from arpd.model.probing import ProbeRequest
-from arpd.adapters.ros.world import RosControl
-from arpd.adapters.ros.runtime import control_node
+from arpd.ros.world import RosControl
+from arpd.ros.runtime import control_node
 from arpd.model.settings import GraphSettings
 
 with control_node("arpd") as node:
@@ -139,11 +139,11 @@ def test_every_state_of_a_real_interface_has_its_name(link, tmp_path):
     reader = Reader(link, tmp_path / "log")
     first = reader.until("up")
     assert first["radio"] is None
-    ip(link.ceddp, "link", "set", INTERFACE, "down")
+    ip(link.base, "link", "set", INTERFACE, "down")
     reader.until("no_carrier")
-    ip(link.ceddp, "link", "set", INTERFACE, "up")
+    ip(link.base, "link", "set", INTERFACE, "up")
     reader.until("up")
-    with sender(link.ceddp) as source:
+    with sender(link.base) as source:
         for _ in range(20):
             source.sendto(bytes(958), (link.robot.address, 9))
     reader.when("what was sent is counted", lambda seen: seen["rx_bytes"] >= first["rx_bytes"] + 20_000)
@@ -180,7 +180,7 @@ def test_the_queue_of_a_real_interface_is_seen_as_it_fills_and_overflows(tmp_pat
         assert before["backlog_bytes"] == 0
         with sender(link.robot) as source:
             for sent in range(1, 201):
-                source.sendto(bytes(958), (link.ceddp.address, 9))
+                source.sendto(bytes(958), (link.base.address, 9))
                 if sent == 30:
                     half = reader.read()
         full = reader.read()
@@ -218,11 +218,11 @@ class Counted:
 
 @pytest.fixture
 def robot(link):
-    """Start a publisher and a daemon's ROS side on the robot, and a peer and a publisher on the CEDDP."""
+    """Start a publisher and a daemon's ROS side on the robot, and a peer and a publisher on the base computer."""
 
     def make(transports):
-        start(link, "ceddp", "-c", PUBLISHER, "far")
-        start(link, "ceddp", "-m", "arpd.cli", "peer")
+        start(link, "base", "-c", PUBLISHER, "far")
+        start(link, "base", "-m", "arpd.cli", "peer")
         publisher = Counted(start(link, "robot", "-c", PUBLISHER, "near", transports=transports))
         daemon = Counted(start(link, "robot", "-c", DAEMON, INTERFACE, transports=transports))
         eventually(
@@ -239,7 +239,7 @@ def test_the_price_reaches_publishers_whatever_becomes_of_the_interface(link, ro
     """Without carrier, address or interface the price reaches local publishers, even after DDS's participant lease."""
     publisher, daemon = robot("DEFAULT")
     for now, host, change in (
-        ("without carrier", link.ceddp, ("link", "set", INTERFACE, "down")),
+        ("without carrier", link.base, ("link", "set", INTERFACE, "down")),
         ("without an address", link.robot, ("address", "flush", "dev", INTERFACE)),
         ("switched off", link.robot, ("link", "set", INTERFACE, "down")),
         ("that is gone", link.robot, ("link", "delete", INTERFACE)),

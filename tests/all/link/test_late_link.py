@@ -48,7 +48,7 @@ def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
     with SimLink(f"late-{os.getpid()}") as link, (tmp_path / "log").open("w") as log:
         ip(link.robot, "address", "flush", "dev", INTERFACE)
         rename(link.robot, INTERFACE, "away")
-        arpd(link, "ceddp", log, "peer", "--interface", INTERFACE)
+        arpd(link, "base", log, "peer", "--interface", INTERFACE)
         arpd(link, "robot", log, "run", "--config", str(tmp_path / "arpd.yaml"))
         eventually("the daemon is ready", lambda: metric(link, "arpd_ready") == 1)
         assert f"{INTERFACE} is not there yet" in (tmp_path / "log").read_text()

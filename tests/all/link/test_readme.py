@@ -1,4 +1,4 @@
-"""The README, followed: what stands between its fences is executed, on a robot and a CEDDP joined by a link."""
+"""The README, followed: what stands between its fences is executed, on a robot and a base computer joined by a link."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE
+from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import INTERFACE, SimLink
 from tests.all.link.hosts import NEEDS_LINK, REPO, ip
@@ -156,13 +156,13 @@ def users_node(block):
 def test_ones_own_node_is_found_and_planned(world, block):
     """With the README's lines in a node, the installed configuration and a reader over there, topics are planned."""
     world.start("robot", "run", "arpd", "run", "--config", str(REPO / "etc/arpd/arpd.yaml"))
-    world.start("ceddp", "peer", "arpd", "peer", "--interface", INTERFACE)
+    world.start("base", "peer", "arpd", "peer", "--interface", INTERFACE)
     world.python("robot", "node", users_node(block))
     eventually("the node starts", lambda: "that is all" in world.text("node"))
     topics = [line.split() for line in world.text("node").splitlines() if line.startswith("/")]
     assert topics, "the block makes no AdaptivePublisher"
     for number, (topic, kind) in enumerate(topics):
-        world.python("ceddp", f"reader{number}", PLAIN, "reader", topic, kind)
+        world.python("base", f"reader{number}", PLAIN, "reader", topic, kind)
     for number, (topic, _) in enumerate(topics):
         eventually(f"{topic} is planned", lambda topic=topic: world.is_planned(topic))
         eventually(f"{topic} arrives", lambda number=number: "received" in world.text(f"reader{number}"))
@@ -176,20 +176,20 @@ def test_a_configuration_governs_nodes_that_are_not_ones_own(world, block):
     config = world.folder / "arpd.yaml"
     config.write_text(block.text)
     relay = yaml.safe_load(block.text).get("relay", {})
-    for host, key in ((world.link.robot, "robot"), (world.link.ceddp, "ceddp")):
+    for host, key in ((world.link.robot, "robot"), (world.link.base, "base")):
         if key in relay:
             world.address(host, relay[key])
     world.run("robot", "arpd check arpd.yaml")
-    world.run("ceddp", "arpd check --far arpd.yaml")
+    world.run("base", "arpd check --far arpd.yaml")
     world.start("robot", "run", "arpd", "run", "--config", str(config), reach="LOCALHOST")
     eventually("the daemon is ready", lambda: world.status().get("ready"))
     if "link_domain" not in relay:
         return
-    world.start("ceddp", "peer", "arpd", "peer", "--config", str(config), reach="LOCALHOST")
+    world.start("base", "peer", "arpd", "peer", "--config", str(config), reach="LOCALHOST")
     world.start("robot", "near", "arpd", "relay", "--config", str(config), reach="LOCALHOST")
-    world.start("ceddp", "far", "arpd", "relay", "--far", "--config", str(config), reach="LOCALHOST")
+    world.start("base", "far", "arpd", "relay", "--far", "--config", str(config), reach="LOCALHOST")
     world.python("robot", "lidar", PLAIN, "lidar", "/scan", "LaserScan", reach="LOCALHOST")
-    world.python("ceddp", "reader", PLAIN, "reader", "/scan", "LaserScan", reach="LOCALHOST")
+    world.python("base", "reader", PLAIN, "reader", "/scan", "LaserScan", reach="LOCALHOST")
     eventually("/scan is planned", lambda: world.is_planned("/scan"))
     eventually("/scan arrives under its own name", lambda: "received" in world.text("reader"))
-    assert world.status()["relay"]["to_ceddp"]["wanted"] >= 1
+    assert world.status()["relay"]["to_base"]["wanted"] >= 1

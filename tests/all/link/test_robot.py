@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.sim.demo import COMMAND_TOPIC
+from arpd.sim.demo import COMMAND_TOPIC
 from scripts.robot.run import SOURCES
 from tests.all.link.hosts import NEEDS_LINK, REPO
 from tests.all.link.live_robot import HEAVY, SLOW, is_confirmed, live_robot, topics
@@ -134,7 +134,7 @@ def test_foreign_traffic_gets_room_and_gives_it_back(side):
     eventually("the plan is for the whole link", lambda: is_confirmed(side) and 0.75 * SLOW < level() < 1.6 * SLOW)
     eventually("nothing is foreign", lambda: foreign() < 0.1 * UPLOAD)
 
-    upload = side.link.popen("robot", [sys.executable, "-c", SENDER, side.link.ceddp.address, str(UPLOAD)])
+    upload = side.link.popen("robot", [sys.executable, "-c", SENDER, side.link.base.address, str(UPLOAD)])
     eventually("the upload is seen", lambda: 0.5 * UPLOAD < foreign() < 1.5 * UPLOAD)
     eventually("the budget yields", lambda: budget() < 0.75 * SLOW)
     eventually("the plan, which is for what lasts, yields", lambda: level() < 0.75 * SLOW)

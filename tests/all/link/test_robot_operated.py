@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.sim.demo import COMMAND_TOPIC
+from arpd.sim.demo import COMMAND_TOPIC
 from scripts.robot.run import PREFIX
 from scripts.robot.sensors import SENSORS
 from tests.all.link.hosts import NEEDS_LINK

@@ -48,11 +48,11 @@ def receiver(link):
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 8_000_000)
         sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        sock.bind((link.ceddp.address, PORT))
+        sock.bind((link.base.address, PORT))
         sock.settimeout(1.0)
         return sock
 
-    return inside(link.ceddp.namespace, bound)
+    return inside(link.base.namespace, bound)
 
 
 def drain(sock, most=sys.maxsize):
@@ -77,7 +77,7 @@ def delivery_rate(arrivals):
 def flood_rate(link, source, sink):
     """Return the rate of what a full queue delivers (bytes/s)."""
     for _ in range(300):
-        source.sendto(bytes(1400), (link.ceddp.address, PORT))
+        source.sendto(bytes(1400), (link.base.address, PORT))
     return delivery_rate(drain(sink))
 
 
@@ -86,7 +86,7 @@ def train_rate(link, source, sink):
     rates = []
     for _ in range(9):
         for _ in range(10):
-            source.sendto(bytes(1200), (link.ceddp.address, PORT))
+            source.sendto(bytes(1200), (link.base.address, PORT))
         rates.append(delivery_rate(drain(sink, most=10)))
     return statistics.median(rates)
 
@@ -119,12 +119,12 @@ def test_loss_comes_and_goes(run_id):
             for loss in (0.2, 0.0, 1.0):
                 link.set_loss(loss)
                 for _ in range(1500):
-                    source.sendto(bytes(100), (link.ceddp.address, PORT))
+                    source.sendto(bytes(100), (link.base.address, PORT))
                 arrived[loss] = len(drain(sink))
         assert 1125 < arrived[0.2] < 1275  # 1200 expected, five standard deviations (15.5) either side
         assert arrived[0.0] == 1500
         assert arrived[1.0] == 0
-        assert link.counters()["ceddp"].rx_packets == 4500
+        assert link.counters()["base"].rx_packets == 4500
 
 
 def test_what_a_killed_holder_leaves_is_cleaned_up(run_id):

@@ -34,11 +34,11 @@ def two_computers():
 
 
 def test_topics_of_the_other_computer_do_not_cross_to_be_measured(two_computers):
-    """The robot's topic is measured; the CEDDP's, which nobody on the robot reads, stays where it is."""
+    """The robot's topic is measured; the base computer's, which nobody on the robot reads, stays where it is."""
     wire, start = two_computers
     nodes = [
         start("robot", "-c", NODE, "camera", "/pictures", "/nothing"),
-        start("ceddp", "-c", NODE, "planner", "/plans", "/nothing"),
+        start("base", "-c", NODE, "planner", "/plans", "/nothing"),
     ]
     assert [node.stdout.readline().strip() for node in nodes] == ["ready", "ready"]
     before = wire.counters()["robot"].rx_bytes

@@ -24,7 +24,7 @@ REFUSED = "cannot carry /{}: /{} of the other side is visible in this domain wit
 
 def test_a_node_that_announces_itself_on_the_link_is_named(tmp_path):
     """A node of the robot that announces itself on the link is refused by name; a confined one is not."""
-    (tmp_path / "arpd.yaml").write_text("relay:\n  link_domain: 102\n  robot: 10.77.0.1\n  ceddp: 10.77.0.2\n")
+    (tmp_path / "arpd.yaml").write_text("relay:\n  link_domain: 102\n  robot: 10.77.0.1\n  base: 10.77.0.2\n")
     with SimLink(f"ends-{os.getpid()}") as link, (tmp_path / "log").open("w") as log:
 
         def start(host, *argv, reach="LOCALHOST"):
@@ -36,7 +36,7 @@ def test_a_node_that_announces_itself_on_the_link_is_named(tmp_path):
 
         relay = ("-m", "arpd.cli", "relay", "--config", str(tmp_path / "arpd.yaml"))
         start("robot", *relay)
-        start("ceddp", *relay, "--far")
+        start("base", *relay, "--far")
         start("robot", "-c", TALKER, "whisperer", "whispers")
         eventually("both ends meet", lambda: told().count("the other end is") >= 2)
         start("robot", "-c", TALKER, "crier", "cries", reach="SUBNET")

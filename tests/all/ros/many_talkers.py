@@ -9,7 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.runtime import prepare_environment
+from arpd.ros.runtime import prepare_environment
 
 HZ = 1.0
 

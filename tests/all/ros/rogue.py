@@ -9,12 +9,12 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.adapters.ros.documents import pack, unpack
-from arpd.adapters.ros.names import PRICE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
-from arpd.adapters.ros.node_snapshot import MOST_BYTES, encode_snapshot
-from arpd.adapters.ros.probe_messages import encode_report
 from arpd.model.plan import PlanAnswer
 from arpd.model.probing import PeerReport, Train
+from arpd.ros.documents import pack, unpack
+from arpd.ros.names import PRICE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
+from arpd.ros.node_snapshot import MOST_BYTES, encode_snapshot
+from arpd.ros.probe_messages import encode_report
 from tests.sample_publishers import publisher
 
 BATCHES_HZ = 50.0
@@ -57,7 +57,7 @@ snapshots = [message(data) for data in snapshots]
 snapshots += [spoilt(draw.choice(snapshots)) for _ in range(100)]
 crowds = [message(snapshot(f"/crowd{k}", *(f"/of{k}/t{number}" for number in range(250)))) for k in range(WRITERS)]
 long = message(bytes(150_000))
-reports = [report("ceddp", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
+reports = [report("base", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
 prices = [serialize_message(Float64MultiArray(data=numbers)) for numbers in ([1.0], 1000 * [1.0])]
 reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))

@@ -10,11 +10,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.adapters.ros.world import RosControl
-from arpd.apply.progress import progress
+from arpd.govern.progress import progress
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
+from arpd.ros.world import RosControl
 from tests.ros.price import FREE, TERMS
 
 pytestmark = pytest.mark.ros

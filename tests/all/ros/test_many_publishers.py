@@ -7,10 +7,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.adapters.ros.world import RosControl
-from arpd.apply.progress import progress
+from arpd.govern.progress import progress
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
+from arpd.ros.world import RosControl
 from tests.ros.child import child
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]

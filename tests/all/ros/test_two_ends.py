@@ -29,7 +29,7 @@ def test_two_hundred_topics_are_wanted_at_once(world, background, eventually):
     ends = world().start()
     robot = ends.side("robot").node("robot")
     writers = [Counter(robot, String, f"/many/t{k}", 10) for k in range(200)]
-    far, received = ends.side("ceddp").node("rviz"), {}
+    far, received = ends.side("base").node("rviz"), {}
     eventually("the topics show", lambda: far.count_publishers("/many/t199") == 1)
     for writer in writers:
         topic = writer.publisher.topic_name
@@ -49,9 +49,9 @@ def test_a_second_far_end_is_ignored_and_named(world, eventually):
     """Of two ends on the far side the first one stays in force, and the robot's end names the other one's host."""
     ends = world().start()
     eventually("the ends meet", lambda: "topics cross" in ends.status["robot"])
-    first = ends.processes["ceddp"]
-    ends.start("ceddp")
-    eventually("the second one is named", lambda: "ignored another CEDDP's end on" in ends.status["robot"])
+    first = ends.processes["base"]
+    ends.start("base")
+    eventually("the second one is named", lambda: "ignored another base computer's end on" in ends.status["robot"])
     first.kill()
     first.wait()
     eventually("the second one takes over", lambda: "ignored" not in ends.status["robot"])
@@ -60,7 +60,7 @@ def test_a_second_far_end_is_ignored_and_named(world, eventually):
 def called(world, eventually):
     """Return both ends, and a client on one side whose server is on the other."""
     ends = world("services: [/add]").start()
-    server, planner = ends.side("robot").node("server"), ends.side("ceddp").node("planner")
+    server, planner = ends.side("robot").node("server"), ends.side("base").node("planner")
     server.create_service(BasicTypes, "/add", lambda request, response: response)
     client = planner.create_client(BasicTypes, "/add")
     eventually("the service crosses", client.service_is_ready)
@@ -84,8 +84,8 @@ def test_a_call_wakes_both_ends(world, eventually):
 def test_a_restarted_far_end_serves_again(world, eventually):
     """Calls work again after a kill -9 of the far end, although its ghosts stay in the graph for a while."""
     ends, client = called(world, eventually)
-    ends.end("ceddp")
-    ends.start("ceddp")
+    ends.end("base")
+    ends.start("base")
     calls = []
 
     def is_answered():

@@ -12,9 +12,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 from prometheus_client import CollectorRegistry
 
-from arpd.adapters.http.server import HttpServer
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.history import History
+from arpd.web.server import HttpServer
 from tests.all.seeing.browser import PHONE, chromium, visit
 from tests.golden.sample import FINISHED_AT_S
 from tests.sample_publishers import publisher

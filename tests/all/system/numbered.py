@@ -1,4 +1,4 @@
-"""An application with numbered samples, which a source publishes on the robot and a sink counts on the CEDDP.
+"""An application with numbered samples, which a source publishes on the robot and a sink counts on the base computer.
 
 Usage: python -m numbered source|sink
 

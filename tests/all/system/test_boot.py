@@ -1,4 +1,4 @@
-"""arpd's units under a real systemd, on a robot and a CEDDP joined by a shaped link."""
+"""arpd's units under a real systemd, on a robot and a base computer joined by a shaped link."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
-from arpd.adapters.ros.runtime import FASTDDS_PROFILE
-from arpd.adapters.systemd.journal import MESSAGE_IDS
+from arpd.host.journal import MESSAGE_IDS
 from arpd.report.events import EventKind
+from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns import simlink
 from scripts.netns.namespaces import NETNS_DIR
 from scripts.robot.proxy import window
@@ -66,7 +66,7 @@ def installed_files(domain_id):
 
 
 class Reader:
-    """Reports of the application on the CEDDP: counts of each topic."""
+    """Reports of the application on the base computer: counts of each topic."""
 
     def __init__(self, process):
         self._process = process
@@ -92,11 +92,11 @@ class Reader:
 
 
 class Deployment:
-    """A robot and a CEDDP, each with a systemd, and the application's reader."""
+    """A robot and a base computer, each with a systemd, and the application's reader."""
 
-    def __init__(self, robot, ceddp, reader, url):
+    def __init__(self, robot, base, reader, url):
         self.robot = robot
-        self.ceddp = ceddp
+        self.base = base
         self.reader = reader
         self._url = url
 
@@ -133,7 +133,7 @@ class Deployment:
 
     def hosts(self):
         """Return each unit and its computer."""
-        return (("arpd", self.robot), ("arpd-relay", self.robot), ("arpd-peer", self.ceddp))
+        return (("arpd", self.robot), ("arpd-relay", self.robot), ("arpd-peer", self.base))
 
 
 def start(link, host, log, *module):
@@ -156,8 +156,8 @@ def deployment(tmp_path_factory):
         link = stack.enter_context(simlink.SimLink(f"boot-{os.getpid()}"))
         log = stack.enter_context((folder / "log").open("w"))
         start(link, "robot", log, "numbered", "source")
-        reader = Reader(start(link, "ceddp", log, "numbered", "sink"))
-        robot, ceddp = (
+        reader = Reader(start(link, "base", log, "numbered", "sink"))
+        robot, base = (
             stack.enter_context(
                 machine.booted(
                     f"arpd-{os.getpid()}-{host.name}",
@@ -167,13 +167,13 @@ def deployment(tmp_path_factory):
             )
             for host in link.hosts
         )
-        for host, units in ((robot, ("arpd-relay", "arpd")), (ceddp, ("arpd-peer",))):
+        for host, units in ((robot, ("arpd-relay", "arpd")), (base, ("arpd-peer",))):
             updated = host.call("journalctl", "--update-catalog")
             assert updated.returncode == 0, updated.stderr
             enabled = host.call("systemctl", "enable", "--now", *units)
             assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
         url = stack.enter_context(window(link.robot, HTTP_PORT))
-        started = Deployment(robot, ceddp, reader, url)
+        started = Deployment(robot, base, reader, url)
         eventually("all units work", lambda: all_up(started))  # until then there is no relay that could carry samples
         yield started
 
@@ -405,5 +405,5 @@ def test_stop_gives_the_publishers_their_qos_back(running):
 def test_a_reboot_brings_everything_back(deployment):
     """After a reboot of both computers the enabled units start, and the plan is in force again."""
     with ThreadPoolExecutor() as both:
-        list(both.map(lambda host: host.reboot(), (deployment.robot, deployment.ceddp)))
+        list(both.map(lambda host: host.reboot(), (deployment.robot, deployment.base)))
     eventually("all units work", lambda: all_up(deployment))

@@ -176,8 +176,8 @@ def test_the_share_of_the_package_has_what_ros_looks_for(workspace):
     for name, source in (
         ("package.xml", "package.xml"),
         ("launch/robot.launch.py", "launch/robot.launch.py"),
-        ("launch/ceddp.launch.py", "launch/ceddp.launch.py"),
-        ("fastdds.xml", "arpd/adapters/ros/fastdds.xml"),
+        ("launch/base.launch.py", "launch/base.launch.py"),
+        ("fastdds.xml", "arpd/ros/fastdds.xml"),
         ("config/arpd.yaml", "etc/arpd/arpd.yaml"),
     ):
         assert (share / name).read_bytes() == (REPO / source).read_bytes()
@@ -208,8 +208,8 @@ def test_the_users_node_is_planned_for(workspace):
             return next((topic["confirmed"]["depth"] for topic in topics if topic["topic"] == TOPIC), None)
 
         start("robot", workspace.executable("my_robot", "greeter"), log=greets, **profile)
-        start("ceddp", workspace.executable("my_robot", "listener"), log=hears, **profile)
-        start("ceddp", workspace.executable("arpd", "peer"), "--ros-args")
+        start("base", workspace.executable("my_robot", "listener"), log=hears, **profile)
+        start("base", workspace.executable("arpd", "peer"), "--ros-args")
         start("robot", workspace.executable("arpd", "run"), "--config", config, "--ros-args")
         eventually("the plan is in force", lambda: depth() == DEPTH)
         (imported,) = logs["greeter"].read_text().splitlines()

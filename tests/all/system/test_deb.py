@@ -58,7 +58,7 @@ OURS = (
     "/usr/share",
 )
 AS_IN_THE_SOURCE = {
-    "arpd/fastdds.xml": "arpd/adapters/ros/fastdds.xml",
+    "arpd/fastdds.xml": "arpd/ros/fastdds.xml",
     "arpd/grafana": "etc/grafana",
     "arpd/prometheus": "etc/prometheus",
     "bash-completion/completions/arpd": "etc/bash-completion/arpd",
@@ -245,7 +245,7 @@ def test_the_systems_python_imports_the_library_and_nothing_else(running):
     """A user's program and a virtual environment have the publisher with ROS sourced, and the system's own numpy."""
     for says in (user_world.python_says, user_world.from_a_venv):
         told = says(running.pi.booted, user_world.IMPORT)
-        assert (told.returncode, told.stdout) == (0, "arpd.adapters.ros.publisher\n"), told.stderr
+        assert (told.returncode, told.stdout) == (0, "arpd.endpoint.publisher\n"), told.stderr
     numpy = user_world.python_says(running.pi.booted, "import numpy, sys; print(numpy.__file__, *sys.path)")
     assert ENV not in numpy.stdout + numpy.stderr
     without_ros = user_world.python_says(

@@ -41,12 +41,12 @@ def doctor(computer):
 
 
 def test_units_are_told_as_systemd_has_them(computer):
-    """Installed, running, stopped, and failed; a computer on which only the peer runs is the CEDDP."""
+    """Installed, running, stopped, and failed; a computer on which only the peer runs is the base computer."""
     assert doctor(computer) == ("robot", [("fine", "no unit of arpd is enabled")])
     assert computer.call("systemctl", "enable", "--now", "arpd-peer").returncode == 0
-    assert doctor(computer) == ("ceddp", [("fine", "arpd-peer is active")])
+    assert doctor(computer) == ("base", [("fine", "arpd-peer is active")])
     computer.call("systemctl", "stop", "arpd-peer")
-    assert doctor(computer) == ("ceddp", [("wrong", "arpd-peer is enabled, and does not run")])
+    assert doctor(computer) == ("base", [("wrong", "arpd-peer is enabled, and does not run")])
     computer.call("systemctl", "disable", "arpd-peer")
     broken = "link: {headrom: 1}\n"
     (computer.root / "etc/arpd/arpd.yaml").write_text(broken)

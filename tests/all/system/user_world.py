@@ -67,7 +67,7 @@ def run_node(booted, link, log):
     with ExitStack() as stack:
         for module in (("arpd.cli", "peer"), ("tests.all.system.user_reader",)):
             process = link.popen(
-                "ceddp", [sys.executable, "-m", *module], env=dict(os.environ), cwd=REPO, stdout=log, stderr=log
+                "base", [sys.executable, "-m", *module], env=dict(os.environ), cwd=REPO, stdout=log, stderr=log
             )
             stack.callback(process.wait)
             stack.callback(process.terminate)

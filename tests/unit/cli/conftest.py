@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.adapters.host.interface import MemoryReader
 from arpd.cli import main as cli
+from arpd.host.interface import MemoryReader
 from arpd.model.observation import MemoryState
 
 

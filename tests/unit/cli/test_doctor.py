@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 
 from arpd import __version__
-from arpd.adapters.systemd.services import ServiceState
 from arpd.cli import checkup
 from arpd.cli.checkup import Asked, Senses, check_up
 from arpd.cli.client import DaemonAddress
 from arpd.cli.doctor import lines
+from arpd.host.services import ServiceState
 from arpd.report.health import Health, HeardDiscovery, PythonRos, RadioState, Unknown
 from tests.unit.fake_daemon import document, serving
 from tests.unit.report.health_facts import LIMITS
@@ -55,7 +55,7 @@ def status(*, offset_s=0.001, lacks_profile=False):
         "rmw": {"name": "rmw_fastrtps_cpp", "swaps": True, "refusal": ""},
         "peers": [
             {
-                "peer": "ceddp",
+                "peer": "base",
                 "report_age_seconds": 0.1,
                 "clock_offset_seconds": offset_s,
                 "clock_uncertainty_seconds": 0.001,
@@ -119,7 +119,7 @@ def test_a_daemon_that_does_not_tell_alarms_nobody(asked, answer, code):
     ],
 )
 def test_the_units_in_use_tell_the_end(asked, units, is_far):
-    """A computer that runs only the peer is the CEDDP; its configuration is then checked as the far end's."""
+    """A computer that runs only the peer is the base computer; its configuration is then checked as the far end's."""
     question = asked()
     question.config_path.write_text("link: {interface: of_the_robot0}\n")
     found = check_up(question, replace(WELL, units=lambda: units))

@@ -9,8 +9,8 @@ from unittest.mock import Mock
 
 import pytest
 
-from arpd.adapters.config.load import load_settings
-from arpd.adapters.config.schema import flatten
+from arpd.host.config.load import load_settings
+from arpd.host.config.schema import flatten
 from arpd.model.errors import LinkError, RosUnavailableError
 from arpd.model.settings import Backend
 
@@ -78,10 +78,10 @@ TWO_ENDS = """\
 relay:
   link_domain: 77
   robot: 10.0.0.1
-  ceddp: 10.0.0.2
+  base: 10.0.0.2
   namespace: /r1
   to_robot: [/cmd_vel, /goal]
-  to_ceddp: []
+  to_base: []
   deny: [/x]
   services: ["/map/*"]
   actions: [/go]
@@ -165,7 +165,7 @@ def test_check_warns_of_minimum_rates_that_exceed_the_link(run, config, capacity
 )
 def test_errors_become_one_line_and_an_exit_code(run, monkeypatch, error, code, message):
     """Expected errors and Ctrl-C print no traceback."""
-    peer = ModuleType("arpd.adapters.ros.peer")
+    peer = ModuleType("arpd.ros.peer")
     monkeypatch.setattr(peer, "run_peer", Mock(side_effect=error), raising=False)
     monkeypatch.setitem(sys.modules, peer.__name__, peer)
     assert run("peer") == (code, "", message)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.adapters.systemd.services import ServiceState
 from arpd.cli.no_daemon import next_step
+from arpd.host.services import ServiceState
 
 
 def unit(active, **fields):

@@ -9,9 +9,9 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from arpd.adapters.systemd.services import ServiceState
 from arpd.cli import client
 from arpd.cli import main as cli
+from arpd.host.services import ServiceState
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
 from arpd.model.relay import RelaySummary
@@ -48,10 +48,10 @@ def test_all_is_well_exits_0(status):
         (document(link={"state": LinkState.OUTAGE}), "The link carries nothing"),
         (document(config_error="a.yaml:1:1: x: y; z"), "Reload refused: a.yaml:1:1: x: y; z"),
         (document(observation={"is_relay_silent": True}), "The relay on the robot is silent"),
-        (document(observation={"relay": RelaySummary(other_host="ceddp")}), "The relay's ends do not meet"),
+        (document(observation={"relay": RelaySummary(other_host="base")}), "The relay's ends do not meet"),
         (
             document(observation={"relay": RelaySummary(is_reachable=True, fault="it speaks version 2")}),
-            "The relay's ends do not meet: the CEDDP's end is not understood: it speaks version 2",
+            "The relay's ends do not meet: the base computer's end is not understood: it speaks version 2",
         ),
         (document(allocation={"status": AllocationStatus.DEGRADED}), "Not everything asked for fits"),
     ],
@@ -70,7 +70,7 @@ def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
 def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch, command):
     """Where nothing listens on this computer, the state of the unit tells the next step."""
     failed = ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78)
-    monkeypatch.setattr("arpd.adapters.systemd.services.service_states", lambda *_names: {"arpd": failed})
+    monkeypatch.setattr("arpd.host.services.service_states", lambda *_names: {"arpd": failed})
     with serving("{}") as url:
         pass
     code, out, err = run(*command, "--url", url)

@@ -10,13 +10,13 @@ from types import ModuleType
 import pytest
 import yaml
 
-from arpd.adapters.host import interface as host
-from arpd.adapters.ros import runtime
 from arpd.cli import main as cli
+from arpd.host import interface as host
 from arpd.model.errors import RosUnavailableError
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
+from arpd.ros import runtime
 
-SMALL = "relay:\n  link_domain: 90\n  robot: robot.local\n  ceddp: 10.0.0.2\n"
+SMALL = "relay:\n  link_domain: 90\n  robot: robot.local\n  base: 10.0.0.2\n"
 
 
 def measured(name, kind, rate_hz, size, **other):
@@ -45,7 +45,7 @@ def robot(monkeypatch, tmp_path):
             found = tuple(topic for topic in topics if is_of_interest(topic.name))
             return TopicList(topics=found, seconds=seconds, domain_id=7, **other)
 
-        module = ModuleType("arpd.adapters.ros.topic_measuring")
+        module = ModuleType("arpd.ros.topic_measuring")
         monkeypatch.setattr(module, "list_topics", list_topics, raising=False)
         monkeypatch.setitem(sys.modules, module.__name__, module)
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
@@ -120,7 +120,7 @@ def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_pat
         (["--seconds", "1e9"], "--seconds"),
         (["--robot", "10.0.0.1"], "--suggest"),
         (["--suggest", "--robot", "not an address"], "--robot"),
-        (["--suggest", "--ceddp", "10.0.0"], "--ceddp"),
+        (["--suggest", "--base", "10.0.0"], "--base"),
         (["--suggest", "--json"], "not allowed with"),
     ],
 )

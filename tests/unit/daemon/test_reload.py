@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from arpd.adapters.config.load import load_settings, needs_restart
-from arpd.adapters.config.schema import SECTIONS, flatten
 from arpd.daemon.tick import Daemon
 from arpd.estimate.estimator import Estimator
 from arpd.govern.governor import Governor
+from arpd.host.config.load import load_settings, needs_restart
+from arpd.host.config.schema import SECTIONS, flatten
 from arpd.model.observation import MemoryState
 from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
@@ -29,7 +29,7 @@ LATE_S = 15.0  # a third topic comes
 
 # Every key: its new value, and other keys of the file that make it matter.
 TWO_ENDS: dict[str, Any] = {
-    "relay": {"link_domain": 77, "robot": "10.0.0.1", "ceddp": "10.0.0.2", "groups": [{"topics": ["/left", "/right"]}]}
+    "relay": {"link_domain": 77, "robot": "10.0.0.1", "base": "10.0.0.2", "groups": [{"topics": ["/left", "/right"]}]}
 }
 CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "link.interface": ("wlan7", {}),
@@ -67,9 +67,9 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
     "topics.source_rate_hz": (9, {}),
     "relay.link_domain": (78, TWO_ENDS),
     "relay.robot": ("10.0.0.3", TWO_ENDS),
-    "relay.ceddp": ("ceddp.local", TWO_ENDS),
+    "relay.base": ("base.local", TWO_ENDS),
     "relay.namespace": ("/robot1", TWO_ENDS),
-    "relay.to_ceddp": (["/scan"], TWO_ENDS),
+    "relay.to_base": (["/scan"], TWO_ENDS),
     "relay.to_robot": (["/cmd_vel"], TWO_ENDS),
     "relay.deny": (["/camera/**"], TWO_ENDS),
     "relay.services": (["/map/*"], TWO_ENDS),

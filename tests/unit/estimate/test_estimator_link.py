@@ -7,17 +7,17 @@ from statistics import median
 
 import pytest
 
-from arpd.adapters.sim.foreign import ForeignFlow
-from arpd.adapters.sim.link import LinkModel, SimulatedLink
-from arpd.adapters.sim.loss import GilbertElliott
-from arpd.adapters.sim.schedule import RateSchedule, RateStep
-from arpd.adapters.sim.timeline import Alarm, Timeline
-from arpd.adapters.sim.world import SimulatedWorld
 from arpd.estimate.estimator import Estimator
 from arpd.model.link import CapacityKind, LinkState
 from arpd.model.relay import RelaySummary
 from arpd.model.settings import GraphSettings, LinkSettings
 from arpd.model.wire import wire_size
+from arpd.sim.foreign import ForeignFlow
+from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.loss import GilbertElliott
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.timeline import Alarm, Timeline
+from arpd.sim.world import SimulatedWorld
 from tests.sample_publishers import publisher
 
 MBIT = 125_000.0  # bytes/s
@@ -41,7 +41,7 @@ def flows(loads):
 class Peer:
     """A peer with its own clock, which leads by ``clock_s`` of the run time, and its share of the data."""
 
-    def __init__(self, name="ceddp", *, share=1.0, clock_s=lambda _: 0.0):
+    def __init__(self, name="base", *, share=1.0, clock_s=lambda _: 0.0):
         self.name, self.share, self.clock_s = name, share, clock_s
         self.is_in_graph = self.is_heard = lambda _: True  # by run time
 

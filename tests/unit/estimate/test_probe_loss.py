@@ -5,14 +5,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.estimate.probes import ProbeLoss
+from arpd.estimate.receiver import Receiver
 from arpd.model.probing import PeerReport, ProbeRequest
-from arpd.observe.receiver import Receiver
 
 
 class Peer:
     """A receiver behind a link that loses packets; it has counted packets of earlier daemons."""
 
-    def __init__(self, name="ceddp", *, counted=0):
+    def __init__(self, name="base", *, counted=0):
         self.name = name
         self.receiver = Receiver()
         self.receiver._received = counted  # from earlier daemons

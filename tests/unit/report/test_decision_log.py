@@ -189,19 +189,19 @@ def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
 
 def test_an_outage_counts_from_the_last_report(log):
     """The youngest report of any peer is the last sign of life; the recovery says how long and at which capacity."""
-    log.tick(peer_ages_s={"ceddp": 0.1, "edge": 3.0})
-    (out,) = log.tick(state=LinkState.OUTAGE, peer_ages_s={"ceddp": 0.5, "edge": 3.4})
+    log.tick(peer_ages_s={"base": 0.1, "edge": 3.0})
+    (out,) = log.tick(state=LinkState.OUTAGE, peer_ages_s={"base": 0.5, "edge": 3.4})
     assert (out.kind, out.severity, "500 ms" in out.text) == (EventKind.OUTAGE, Severity.ERROR, True)
-    (back,) = log.tick(after_s=9.7, state=LinkState.STEADY, peer_ages_s={"ceddp": 0.0})
+    (back,) = log.tick(after_s=9.7, state=LinkState.STEADY, peer_ages_s={"base": 0.0})
     assert (back.kind, back.details["outage_seconds"]) == (EventKind.RECOVERED, "10.200")
     assert all(number in back.text for number in ("10.2 s", "20 Mbit/s"))
 
 
 def test_peers_come_and_go(log):
     """A peer is lost after ten silent seconds; while the link is out nobody is."""
-    (found,) = log.tick(peer_ages_s={"ceddp": 0.1})
-    assert (found.kind, "ceddp" in found.text) == (EventKind.PEER_FOUND, True)
-    told = log.wait(20.0, state=LinkState.OUTAGE, peer_ages_s={"ceddp": 11.0})
+    (found,) = log.tick(peer_ages_s={"base": 0.1})
+    assert (found.kind, "base" in found.text) == (EventKind.PEER_FOUND, True)
+    told = log.wait(20.0, state=LinkState.OUTAGE, peer_ages_s={"base": 11.0})
     assert kinds(told) == [EventKind.OUTAGE]
     told = log.wait(5.0, state=LinkState.STEADY, peer_ages_s={})
     told += log.wait(10.0)

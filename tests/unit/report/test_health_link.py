@@ -30,7 +30,7 @@ WELL = RadioState(saves_power=False, signal_dbm=-50, region="DE")
 )
 def test_only_a_clock_that_is_surely_off_is_wrong(offset_s, uncertainty_s, health):
     """More than 20 ms after all that may be error of the measurement; what may be either is not known."""
-    one = PeerClock(peer="ceddp", offset_s=offset_s, uncertainty_s=uncertainty_s)
+    one = PeerClock(peer="base", offset_s=offset_s, uncertainty_s=uncertainty_s)
     well = PeerClock(peer="laptop", offset_s=0.0, uncertainty_s=0.001)
     assert clock(facts(clocks=[well, one])).health is health
 

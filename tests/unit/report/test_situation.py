@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import pytest
 
-import arpd.adapters.http
+import arpd.web
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
 from arpd.model.plan import QosPlan
@@ -103,7 +103,7 @@ def test_a_plan_that_is_long_unconfirmed_is_a_fault(told, is_fault):
 
 def test_topics_that_the_relay_refuses_are_a_fault():
     """The sentence has each topic, and one reason."""
-    refused = {"to_ceddp": {"/scan": "two types"}, "to_robot": {"/cmd": "not let in"}}
+    refused = {"to_base": {"/scan": "two types"}, "to_robot": {"/cmd": "not let in"}}
     ways = {way: RelayTopics(refused=topics) for way, topics in refused.items()}
     (fault,) = judge(changed(observation={"relay": RelaySummary(is_reachable=True, **ways)})).faults
     assert (fault.condition, fault.condition.is_wrong) == (Condition.RELAY_REFUSES, True)
@@ -123,5 +123,5 @@ def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
 
 def test_the_page_calls_a_snapshot_stale_at_the_same_age():
     """The browser cannot import the threshold, so it repeats it."""
-    script = (Path(arpd.adapters.http.__file__).parent / "assets" / "page.js").read_text()
+    script = (Path(arpd.web.__file__).parent / "assets" / "page.js").read_text()
     assert re.findall(r"STALE_S = ([\d.]+)", script) == [f"{STALE_AFTER_S:g}"]

@@ -36,7 +36,7 @@ def of_relay(**fields):
         (starting(TWO_ENDS), ("both ends",)),
         (starting(TWO_ENDS, relay=of_relay(is_reachable=False)), ("both ends",)),
         (starting(TWO_ENDS, relay=of_relay()), ("ROS_DOMAIN_ID",)),
-        (starting(TWO_ENDS, relay=of_relay(to_ceddp=RelayTopics(offered=3))), ("3 topics", "start a reader")),
+        (starting(TWO_ENDS, relay=of_relay(to_base=RelayTopics(offered=3))), ("3 topics", "start a reader")),
         (starting(TWO_ENDS, relay=of_relay(to_robot=RelayTopics(offered=3, wanted=1))), ("carry 1 topic",)),
     ],
     ids=["nothing", "named", "one end", "relay unknown", "other end", "no topics", "no readers", "begins"],

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.adapters.sim.result import TopicResult
+from arpd.sim.result import TopicResult
 from scripts.robot.report import Pair, as_document, losses_text
 
 

@@ -1,1 +1,0 @@
-"""systemd: notify protocol and journal."""

@@ -1,1 +1,0 @@
-"""Ordered steps from a plan, and the endpoints that carry them out."""

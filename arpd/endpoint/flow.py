@@ -1,0 +1,234 @@
+"""The flow of one AdaptivePublisher, from its lane in the paced queue to the writer: pure, over any kind of writer."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from arpd.endpoint.lane import Lane
+from arpd.endpoint.meters import DeadlineCount
+from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
+from arpd.model.endpoints import FlowState, SwapResult, WithheldCause, Writer, WriterQos
+from arpd.model.plan import TopicPlan
+from arpd.model.settings import Overflow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
+# Samples that a swap held leave at twice their rate. A burst would crowd the link, and push samples out of a small
+# history of the writer or a reader.
+_CATCH_UP = 0.5
+_LEAST_CATCH_UP_HZ = 10.0
+# A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
+_PATIENCE_S = 4.0
+_NO_LOCK = nullcontext()
+W = TypeVar("W", bound=Writer)
+
+
+class Flow(Generic[W]):
+    """Writes the samples that its lane releases by the current writer, and swaps that writer when its QoS shall change.
+
+    Until `retune` is called it behaves as a plain publisher: unpaced, with the QoS it was made with. One exception:
+    while a daemon is there and has no plan for the topic yet, large samples wait some seconds for what is spare.
+
+    Parameters
+    ----------
+    create : makes a writer with the given QoS
+    qos : QoS of the first writer
+    overflow : which samples are withheld when they come faster than they may leave
+    clock : monotonic clock (s)
+    on_swap : called with the result of every swap and the QoS it was about
+    on_held : called when a swap holds samples, so that `service` is due soon
+    timing : timeouts of a swap
+    lock : may be taken again by the thread that has it; needed where several threads call
+
+    Attributes
+    ----------
+    lane : its place in the queue, which the owner adds there
+
+    Notes
+    -----
+    Any thread may call `retune` and `state`. Only one at a time may call `write` and `service`: the one that has
+    claimed the lane.
+    """
+
+    def __init__(
+        self,
+        *,
+        create: Callable[[WriterQos], W],
+        qos: WriterQos,
+        overflow: Overflow,
+        clock: Callable[[], float],
+        on_swap: Callable[[SwapResult, WriterQos], None] = lambda _result, _qos: None,
+        on_held: Callable[[], None] = lambda: None,
+        timing: SwapTiming | None = None,
+        lock: AbstractContextManager[Any] = _NO_LOCK,
+    ) -> None:
+        self._clock = clock
+        self._on_swap, self._on_held = on_swap, on_held
+        self._swaps: Counter[str] = Counter()
+        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
+        self._writer, self._awaits_silence = self._swap.current, False  # of the swap; only its steps change them
+        self._lock = lock  # guards the swap
+        is_ordered = overflow is Overflow.QUEUE
+        self.lane = Lane(
+            self.write,
+            depth=qos.depth if is_ordered else 1,
+            large_depth=qos.depth if is_ordered else 1,
+            is_ordered=is_ordered,
+            patience_s=0.0 if is_ordered else _PATIENCE_S,
+        )
+        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        self._withheld: Counter[str] = Counter()  # behind the queue, by cause
+        self._deadlines = DeadlineCount(self._swap.current)
+        self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
+        self._catch_up_s = -math.inf  # when the next of them may leave
+        self._history: deque[bytes] | None = None
+        self._replay: deque[bytes] = deque()
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings requested last."""
+        return self._plan
+
+    @property
+    def qos(self) -> WriterQos:
+        """QoS of the writer by which samples leave."""
+        return self._swap.qos
+
+    @property
+    def writer(self) -> W:
+        """Writer by which samples leave."""
+        return self._swap.current
+
+    def write(self, sample: bytes) -> None:
+        """Write a sample that the queue released, or hold it while a swap says so; may block on a full link."""
+        if not (self._held or self._replay or self._awaits_silence):  # the usual case
+            self._write(sample)
+            return
+        self._held.append(sample)
+        if self._awaits_silence:  # the sample before is most likely acknowledged just now, so most swaps hold none
+            self._step(self._clock())
+        self._release()
+        if self._held:
+            self._on_held()
+
+    def keep_history(self) -> None:
+        """Replay the old writer's samples by each new writer, for late readers of a TRANSIENT_LOCAL topic."""
+        self._history = deque(maxlen=self.qos.depth)
+        self._swap.needs_proof = False  # a reader that matches late gets all of them
+
+    def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
+        """Take new settings, of which the queue gives the lane its rates: depth and deadline come by a swap.
+
+        Parameters
+        ----------
+        plan : settings as requested
+        qos : QoS for the writer, after clamps and refusals
+        """
+        with self._lock:
+            self._plan = plan
+            self._swap.request(qos)
+
+    def set_loss(self, loss_ratio: float | None) -> None:
+        """Take the share of packets that the link loses; None = not known."""
+        self._swap.loss_ratio = loss_ratio
+
+    def service(self, now_s: float) -> float:
+        """Take a step of the swap, and write the samples that it held.
+
+        Returns
+        -------
+        Time of the next call, ``inf`` = not before something changes (s).
+        """
+        if not (self._swap.is_busy or self._replay or self._held):
+            return math.inf
+        self._step(now_s)
+        self._release()
+        now_s = self._clock()
+        due_s = now_s + self._swap.poll_s if self._swap.is_busy else math.inf
+        if self._held and not self._swap.is_holding:
+            due_s = min(due_s, max(now_s, self._catch_up_s))
+        return due_s
+
+    def state(self) -> FlowState:
+        """Return the settings in force and the counters; called about once a second."""
+        lane = self.lane.state(self._clock())
+        withheld = Counter(lane.withheld_by_cause) + self._withheld
+        with self._lock:
+            ledger = self._swap.ledger
+            return replace(
+                lane,
+                published=lane.published - self._withheld.total() - len(self._held),
+                withheld=withheld.total(),
+                withheld_by_cause=dict(withheld),
+                queued=lane.queued + len(self._held),
+                rate_hz=self._plan.rate_hz,
+                depth=self.qos.depth,
+                deadline_ns=self.qos.deadline_ns,
+                deadlines_missed=self._deadlines.missed,
+                swaps_by_result=dict(self._swaps),
+                swaps_begun=ledger.begun,
+                swap_seconds_by_phase=dict(ledger.seconds_by_phase),
+                last_swap=ledger.last,
+            )
+
+    def close(self) -> None:
+        """Withhold the samples that a swap holds, and destroy every writer."""
+        with self._lock:
+            self._withheld[WithheldCause.CLOSED.value] += len(self._held)
+            self._held.clear()
+            self._replay.clear()
+            self._swap.close()
+
+    def _write(self, sample: bytes) -> None:
+        try:
+            self._writer.publish(sample)
+        except Exception:
+            self._withheld[WithheldCause.FAILED.value] += 1  # it has left the queue and reached no reader
+            raise
+        if self._awaits_silence:
+            with self._lock:
+                self._swap.wrote(self._clock())
+        if self._history is not None:
+            self._history.append(sample)
+
+    def _step(self, now_s: float) -> None:
+        """Move a swap on as far as its writers allow."""
+        with self._lock:
+            before = self._writer
+            try:
+                self._swap.step(now_s)
+            finally:
+                self._writer, self._awaits_silence = self._swap.current, self._swap.awaits_silence
+            if self._writer is before:
+                return
+            self._deadlines.follow(self._writer)
+            if self._history is not None:
+                self._replay = deque(self._history)
+                self._history = deque(self._history, maxlen=self._swap.qos.depth)
+
+    def _release(self) -> None:
+        """Write what a swap held, at twice the rate at which it came."""
+        while self._replay:
+            self._writer.publish(self._replay.popleft())
+        while self._held and not self._swap.is_holding and (now_s := self._clock()) >= self._catch_up_s:
+            spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
+            # A caller that comes late may write two more.
+            self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
+            self._write(self._held.popleft())
+            if self._awaits_silence and self._held:
+                self._step(now_s)
+
+    def _flowing_hz(self, now_s: float) -> float:
+        """Return the rate at which samples leave when no swap holds them, as far as it is known."""
+        rate_hz, source_hz = self.lane.rate_hz, self.lane.offered_rate.rate_hz(now_s)
+        return min(rate_hz, source_hz) if source_hz > 0 else rate_hz
+
+    def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
+        self._swaps[result.value] += 1
+        self._on_swap(result, qos)

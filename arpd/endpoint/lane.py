@@ -1,0 +1,318 @@
+"""What waits of one topic for its turn on the link: pure."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from arpd.endpoint.meters import SampleRate
+from arpd.model.endpoints import FlowState, WithheldCause
+from arpd.model.plan import TopicPlan
+from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from arpd.model.price import Price
+
+#: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
+SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
+_LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
+_UNPACED_BURST = 10.0
+_JUST_S = 2.0  # more than the last chunks and their acknowledgement take
+_NO_PLAN = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill 0..1 evenly and repeat nothing
+
+
+class _Bucket:
+    """Credit in samples, which a rate fills."""
+
+    def __init__(self) -> None:
+        self.rate_hz = math.inf
+        self._credit = _LEAST_BURST
+        self._at_s = -math.inf
+
+    def due_s(self, now_s: float) -> float:
+        """Return when there is credit for a sample (s)."""
+        if self.rate_hz <= 0.0:
+            return math.inf
+        if self.credit(now_s) >= 1.0 - 1e-9:
+            return now_s
+        return now_s + (1.0 - self._credit) / self.rate_hz
+
+    def credit(self, now_s: float) -> float:
+        """Return how many samples may leave at once."""
+        if math.isinf(self.rate_hz):
+            return _UNPACED_BURST
+        elapsed_s, self._at_s = max(0.0, now_s - self._at_s), max(now_s, self._at_s)
+        most = max(_LEAST_BURST, _BURST_S * self.rate_hz)
+        self._credit = min(most, self._credit + (self.rate_hz * elapsed_s if elapsed_s < math.inf else most))
+        return self._credit
+
+    def spend(self, samples: float) -> None:
+        """Take credit, of which some may be lacking."""
+        self._credit = max(-_LEAST_BURST, self._credit - samples)
+
+
+class _Waiting(NamedTuple):
+    source: Hashable
+    message: bytes
+    expires_s: float
+
+
+@dataclass(slots=True)
+class UnderWay:
+    """The message of a lane that is being sent."""
+
+    source: Hashable
+    message: bytes
+    number: int = 0  # of its first chunk, which names it
+    offset: int = 0
+
+
+class Lane:
+    """One topic on the link: what waits, and the rates that its plan and the price leave it.
+
+    The sample that leaves is chosen when its turn comes: the newest of its source, and the sources take turns.
+
+    Parameters
+    ----------
+    write : writes one serialized sample to the topic
+    depth, large_depth : most small samples that wait of each source, and most large ones
+    is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
+    is_kept : whether the other end delivers its samples however old they are
+    weight : without a plan
+    patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
+        none (s)
+    key : what stands for the topic where small messages of several leave together; None = its messages leave alone
+
+    Attributes
+    ----------
+    claimant : thread that is at its writer, so that no other one may be; the owner of the threads sets it
+    blocked_s : time inside its writer, which the same owner counts (s)
+    """
+
+    def __init__(
+        self,
+        write: Callable[[bytes], None],
+        *,
+        depth: int = 1,
+        large_depth: int = 1,
+        is_ordered: bool = False,
+        is_kept: bool = False,
+        weight: float = 1.0,
+        patience_s: float = math.inf,
+        key: bytes | None = None,
+    ) -> None:
+        self.write = write
+        self.key = key
+        self._depth, self._large_depth = depth, large_depth
+        self._is_ordered = is_ordered
+        self.is_kept = is_kept
+        self._weight = weight
+        self._patience_s = patience_s
+        self._first_s = math.inf  # when its first sample came
+        self.claimant: int | None = None
+        self.blocked_s = 0.0
+        self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
+        self._cap, self._allowed = _Bucket(), _Bucket()
+        self._is_thinned = False
+        self._thinned = 0
+        self._begun_s = 0.0
+        self._floor_s = math.inf
+        self._has_floor_turn = False
+        self.plan: TopicPlan | None = None
+        self.price: Price | None = None
+        self.current: UnderWay | None = None
+        self._last: tuple[Hashable, float] = (None, -math.inf)  # source of the message that left last, and when
+        self.asked_s = -math.inf  # when its writer asked for an acknowledgement last
+        self.start = 0.0  # virtual time of fair queueing
+        self.offered_rate, self.sent_rate = SampleRate(), SampleRate()
+        self.withheld: Counter[str] = Counter()  # by cause
+        self.payload_bytes = 0.0
+
+    def __len__(self) -> int:
+        return sum(map(len, self._lines.values()))
+
+    @property
+    def weight(self) -> float:
+        """Share of the link relative to other lanes."""
+        return self.plan.weight if self.plan is not None and self.plan.weight > 0.0 else self._weight
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate that the price leaves the topic (Hz)."""
+        return self._allowed.rate_hz
+
+    @property
+    def link_share(self) -> float | None:
+        """Share of the link time that its rate takes at the price; None where a topic with samples has no plan yet."""
+        if self.plan is None or self.price is None:
+            return 0.0
+        if self.plan.wire_bytes > 0.0:
+            return self._allowed.rate_hz * self.price.cost_s(self.plan)
+        return None if self.offered_rate.samples else 0.0
+
+    @property
+    def is_small(self) -> bool:
+        """Whether the next message leaves whole, before all large ones."""
+        return self.current is None and len(self._next[1][0].message) <= SMALL_BYTES
+
+    @property
+    def next_bytes(self) -> int:
+        """Size of the message whose turn is next."""
+        return len(self._next[1][0].message)
+
+    def is_unbound(self, now_s: float) -> bool:
+        """Return whether it waits for no share of the link, because it has waited for a plan in vain."""
+        return now_s >= self._first_s + self._patience_s and (self.plan is None or self.plan.wire_bytes <= 0.0)
+
+    def retune(self, plan: TopicPlan | None, price: Price | None) -> None:
+        """Take a plan and a price; None = there is none."""
+        self.plan, self.price = plan, price
+        if plan is None:
+            self._cap.rate_hz = self._allowed.rate_hz = self._floor_s = math.inf
+            return
+        if self._is_ordered:
+            self._depth = self._large_depth = plan.depth
+        self._cap.rate_hz = plan.rate_hz
+        self._allowed.rate_hz = plan.rate_hz if price is None else price.rate_hz(plan)
+        floor_hz = plan.min_rate_hz if price is None else price.floor_hz(plan)
+        self._floor_s = 1.0 / floor_hz if floor_hz > 0.0 else math.inf
+
+    def offer(
+        self,
+        message: bytes,
+        now_s: float,
+        *,
+        source: Hashable = None,
+        expires_s: float = math.inf,
+        is_held_up: bool = False,
+    ) -> None:
+        """Take a message.
+
+        Parameters
+        ----------
+        source : its writer
+        expires_s : when nobody wants it any more (s)
+        is_held_up : whether the link takes nothing now, so that no rate is the cause of what is withheld
+        """
+        self._note(message, now_s)
+        line = self._lines.setdefault(None if self._is_ordered else source, deque())
+        line.append(_Waiting(source, message, expires_s))
+        most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
+        if most == 1 and not is_held_up and all(len(each.message) <= SMALL_BYTES for each in line):
+            # Within its rate a sample waits for no more than the thread that writes it.
+            most = max(1, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
+        while len(line) > most:
+            line.popleft()
+            self._is_thinned = True
+            self.withheld[self._cause(is_held_up=is_held_up).value] += 1
+
+    def admit(self, message: bytes, now_s: float) -> bool:
+        """Let a message pass at once where none waits and the rates allow it; return whether it did."""
+        if self._lines or self.current is not None or self.due_s(now_s, in_turn=False) > now_s:
+            return False
+        self._note(message, now_s)
+        self._cap.spend(1.0)
+        self._allowed.spend(1.0)
+        self._begun_s = now_s
+        self.sent_rate.count(now_s)
+        return True
+
+    def due_s(self, now_s: float, *, in_turn: bool) -> float:
+        """Return when the next message may begin: by its allowed rate, or ``in_turn``, by its cap alone (s)."""
+        due_s = self._cap.due_s(now_s)
+        return due_s if in_turn else max(due_s, self._allowed.due_s(now_s))
+
+    def is_behind(self, now_s: float) -> bool:
+        """Return whether the topic is below its floor."""
+        return self._has_floor_turn if self.current is not None else now_s >= self._begun_s + self._floor_s
+
+    def is_sending(self, source: Hashable, now_s: float) -> bool:
+        """Return whether a message of this source is on its way, or was just now."""
+        if self.current is not None and self.current.source == source:
+            return True
+        return self._last[0] == source and now_s - self._last[1] < _JUST_S
+
+    def begin(self, now_s: float) -> UnderWay | None:
+        """Take the next message for sending; None where all that waited had expired."""
+        while self._lines:
+            key, line = self._next
+            del self._lines[key]
+            waiting = line.popleft()
+            if line:
+                self._lines[key] = line  # behind the other sources
+            if waiting.expires_s <= now_s:
+                self.withheld[WithheldCause.BLOCKED.value] += 1
+                continue
+            # What the price thins out is not always each second one: a source may alternate between two things.
+            self._thinned += self._is_thinned
+            spent = 0.5 + self._thinned * _GOLDEN % 1.0 if self._is_thinned else 1.0
+            self._is_thinned = False
+            self._has_floor_turn = now_s >= self._begun_s + self._floor_s
+            self._cap.spend(spent)
+            self._allowed.spend(spent)
+            self._begun_s = now_s
+            self.current = UnderWay(waiting.source, waiting.message)
+            return self.current
+        return None
+
+    def ended(self, now_s: float) -> None:
+        """Note that the message under way has left."""
+        if self.current is not None:
+            self._last = self.current.source, now_s
+        self.current = None
+        self.sent_rate.count(now_s)
+
+    def give_up_old(self) -> None:
+        """Give up the message under way if a newer one of its source waits: an outage has made it old."""
+        if self.current is not None and not self.is_kept and self.current.source in self._lines:
+            self.withheld[WithheldCause.BLOCKED.value] += 1
+            self.current = None
+
+    def state(self, now_s: float) -> FlowState:
+        """Return the settings in force and the counters; called about once a second."""
+        rates = [meter.rate_hz(now_s) for meter in (self.offered_rate, self.sent_rate)]
+        self.offered_rate.mark(now_s)
+        self.sent_rate.mark(now_s)
+        withheld, plan = dict(self.withheld), self.plan or _NO_PLAN
+        return FlowState(
+            payload_bytes=self.payload_bytes,
+            source_rate_hz=rates[0],
+            published_rate_hz=rates[1],
+            offered=self.offered_rate.samples,
+            published=self.sent_rate.samples,
+            withheld=sum(withheld.values()),
+            withheld_by_cause=withheld,
+            queued=len(self),
+            blocked_s=self.blocked_s,
+            rate_hz=plan.rate_hz,
+            paced_rate_hz=self.rate_hz,
+            depth=plan.depth,
+            deadline_ns=plan.deadline_ns,
+        )
+
+    def close(self) -> None:
+        """Withhold all that waits."""
+        self.withheld[WithheldCause.CLOSED.value] += len(self) + (self.current is not None)
+        self._lines.clear()
+        self.current = None
+
+    def _note(self, message: bytes, now_s: float) -> None:
+        self.offered_rate.count(now_s)
+        if self.payload_bytes:
+            self.payload_bytes += 0.1 * (len(message) - self.payload_bytes)
+        else:
+            self._first_s, self.payload_bytes = now_s, float(len(message))
+
+    @property
+    def _next(self) -> tuple[Hashable, deque[_Waiting]]:
+        return next(iter(self._lines.items()))
+
+    def _cause(self, *, is_held_up: bool) -> WithheldCause:
+        if is_held_up or self.claimant is not None or math.isinf(self._allowed.rate_hz):
+            return WithheldCause.BLOCKED
+        return WithheldCause.PRICE if self._allowed.rate_hz < self._cap.rate_hz else WithheldCause.RATE

@@ -1,0 +1,322 @@
+"""The shared half of one node's AdaptivePublishers: plan, price, and the snapshot for the daemon."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from array import array
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.endpoint.writing_thread import WritingThread
+from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
+from arpd.ros.attached import attached
+from arpd.ros.bounds import checked_row
+from arpd.ros.daemon_messages import DaemonMessages
+from arpd.ros.events import InvalidHandle, no_publisher_events
+from arpd.ros.names import PUBLISHERS_TOPIC
+from arpd.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
+from arpd.ros.profile import missing_here, warn_once
+from arpd.ros.rmw import current_rmw
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from arpd.model.endpoints import PublisherState, WriterQos
+    from arpd.model.price import Price
+    from arpd.model.relay import RelaySummary
+    from arpd.ros.plan_message import PlanMessage
+
+_TELL_S = 1.0
+# Least time between two snapshots: 0.2 s, and what keeps a thousand publishers whose swaps end at any moment cheap.
+_EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
+_NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+_CHECK_S, _RETRY_S = 1.0, 0.1
+_SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
+_WARN_EVERY_S, _WARN_OF_MANY_S = 5.0, 60.0
+_LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
+
+
+class Paced(Protocol):
+    """An AdaptivePublisher as `NodePublishers` sees it."""
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings requested last."""
+
+    @property
+    def baseline(self) -> WriterQos:
+        """QoS of the application."""
+
+    @property
+    def payload_bytes(self) -> float:
+        """Mean size of a sample."""
+
+    @property
+    def has_refused(self) -> bool:
+        """Whether it refused a part of what was requested last."""
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take new settings."""
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link; None = no daemon is there."""
+
+    def state(self) -> PublisherState:
+        """Return the state to tell the daemon, without the plan's generation and lease."""
+
+
+class NodePublishers:
+    """Tunes all AdaptivePublishers of one node, and tells the daemon of them; the first of them makes it.
+
+    The participant's own threads read plan and price, and send a snapshot: once a second, which is also the node's
+    sign of life, and soon after news. Nothing depends on the node's executor, and no callback of the application delays
+    a rate.
+
+    Attributes
+    ----------
+    thread : writes the samples of all nodes of the participant, and serves their publishers
+    relay : summary to send along; None = this node is no end of a relay, or not the one that tells
+    """
+
+    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node = node
+        self._name = node.get_fully_qualified_name()
+        self._clock = clock
+        self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
+        self.relay: RelaySummary | None = None
+        self._publishers: dict[str, Paced] = {}
+        self._warned: set[str] = set()  # topics that make others wait
+        self._rows: Mapping[str, Any] = {}  # of the plan in force, also of topics that are not there yet
+        self._answer = NO_PLAN
+        self._heard_s = -math.inf  # last sign of the daemon
+        self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
+        self._check_s = clock()
+        self._told_s = -math.inf
+        self._has_news = False
+        # Only Fast DDS has profiles, and only its writers can be swapped.
+        self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
+        if self._lacks_profile:
+            warn_once(node.get_logger(), missing)
+        self._lock = threading.RLock()  # guards plan, price and who has them
+        self._snapshots = node.create_publisher(
+            UInt8MultiArray, PUBLISHERS_TOPIC, _NEWEST, event_callbacks=no_publisher_events()
+        )
+        self._messages = DaemonMessages(
+            node, self, warn=lambda words: node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
+        )
+        self.thread.wake(self)
+
+    @classmethod
+    def of(cls, node: Node) -> NodePublishers:
+        """Return the node's own, made on first use and stored on the node."""
+        return attached(node, cls, lambda: cls(node))
+
+    def adopt(self, publisher: Paced) -> None:
+        """Give a publisher its price and its row of the plan, now and from now on.
+
+        Raises
+        ------
+        ValueError
+            If the node has one on this topic already: a plan has one row for both.
+        """
+        topic = publisher.topic_name
+        if topic in self._publishers:
+            raise ValueError(f"{self._name} already has an AdaptivePublisher on {topic}; a plan has one row for both")
+        with self._lock:
+            self._publishers = {**self._publishers, topic: publisher}
+            self._show_price(publisher)
+            self._give_row(publisher)
+        self.hurry()
+
+    def release(self, publisher: Paced) -> None:
+        """Forget a publisher."""
+        topic = publisher.topic_name
+        with self._lock:
+            self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
+
+    def hurry(self) -> None:
+        """Send a snapshot soon, because a swap has ended, for example; for any thread."""
+        self._has_news = True
+        self.thread.wake(self)
+
+    def service(self, now_s: float) -> float:
+        """Do what is due; return when to call again (s)."""
+        try:
+            if now_s >= self._check_s:
+                self._check_s = now_s + _CHECK_S
+                with self._lock:
+                    self._note_silence(now_s)
+                    self._expire_plan()
+                self._warn_of_large()
+            if now_s >= self._tell_s:
+                self._told_s, self._has_news = now_s, False
+                self._tell()
+        except InvalidHandle:
+            if not self._has_node:
+                self._messages.destroy()
+                raise
+            return now_s + _RETRY_S  # only a publisher was destroyed, between two looks
+        except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the snapshots
+            self._node.get_logger().error(
+                f"the daemon could not be told of the publishers: {error}; arpd tries again",
+                throttle_duration_sec=_WARN_EVERY_S,
+            )
+            return now_s + _RETRY_S
+        return min(self._check_s, self._tell_s)
+
+    @property
+    def _tell_s(self) -> float:
+        """When the next snapshot is due (s)."""
+        early_s = _EARLY_S + _EARLY_S_PER_PUBLISHER * len(self._publishers)
+        return self._told_s + (min(_TELL_S, early_s) if self._has_news else _TELL_S)
+
+    def _tell(self) -> None:
+        states = []
+        for publisher in self._publishers.values():
+            with suppress(InvalidHandle):  # another thread has just destroyed it
+                states.append(publisher.state())
+        if len(states) > MOST_OF_NODE:
+            self._node.get_logger().warning(
+                f"{len(states)} publishers in one node: arpd manages {MOST_OF_NODE}, and not "
+                f"{states[MOST_OF_NODE].topic}, for example; make another node for the rest",
+                throttle_duration_sec=_WARN_OF_MANY_S,
+                skip_first=False,
+            )
+        message = encode_snapshot(
+            self._name,
+            states[:MOST_OF_NODE],
+            answer=self._answer,
+            lacks_profile=self._lacks_profile,
+            relay=self.relay,
+        )
+        self._snapshots.publish(UInt8MultiArray(data=array("B", message)))
+
+    @property
+    def _has_node(self) -> bool:
+        """False after the application destroyed the node."""
+        try:
+            with self._node.handle:
+                return True
+        except InvalidHandle:
+            return False
+
+    def take_price(self, price: Price) -> None:
+        """Take the price of the link."""
+        with self._lock:
+            self._price = price
+            self._heard_s = self._clock()
+            self._show_price(*self._publishers.values())
+
+    def _note_silence(self, now_s: float) -> None:
+        if now_s - self._heard_s > _SILENT_S:
+            self._show_price(*self._publishers.values())
+
+    def _warn_of_large(self) -> None:
+        """Say once of each topic that it makes the others of its participant wait."""
+        if self.thread.topics < 2:
+            return
+        for topic, publisher in self._publishers.items():
+            if publisher.payload_bytes >= _LARGE_BYTES and topic not in self._warned:
+                self._warned.add(topic)
+                self._node.get_logger().warning(
+                    f"{topic} has samples of {publisher.payload_bytes / 1e6:.1f} MB: while one is written to a slow "
+                    "link, the other topics of this participant wait inside Fast DDS; publish it from a process of its "
+                    "own, or carry it by an arpd relay of its own"
+                )
+
+    def _show_price(self, *publishers: Paced) -> None:
+        """Give publishers the last price.
+
+        To one without a plan a price only says that a daemon is there, which will plan it. Silence ends that.
+        """
+        price = self._price
+        if is_silent := self._clock() - self._heard_s > _SILENT_S:
+            price = None if price is None else replace(price, is_stale=True)
+        for publisher in publishers:
+            publisher.set_price(None if is_silent and not publisher.plan.weight else price)
+
+    def _expire_plan(self) -> None:
+        """Return every publisher to its application's QoS when the lease has run out."""
+        lease_s = self._answer.lease_s
+        if not (self._answer.generation and lease_s) or self._clock() - self._heard_s <= lease_s:
+            return
+        self._node.get_logger().warning(
+            f"no sign of arpd for {lease_s:g} s: the publishers return to their own QoS",
+            throttle_duration_sec=_WARN_EVERY_S,
+        )
+        self._answer = NO_PLAN  # the next daemon may begin with any generation
+        self._rows = {}
+        for publisher in self._publishers.values():
+            own = publisher.baseline
+            plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
+            publisher.retune(plan)
+        self._price = None
+        self._show_price(*self._publishers.values())
+
+    def take_plan(self, plan: PlanMessage) -> None:
+        """Take all rows of a plan for this node's publishers, or none of them; the next snapshot has the answer."""
+        with self._lock:
+            try:
+                rows = self._checked_rows(plan)
+            except ValueError as refusal:
+                self._answer = self._answer._replace(refused=plan.generation, refusal=str(refusal))
+                self.hurry()
+                return
+            self._answer = PlanAnswer(plan.generation, plan.lease_s)
+            self._heard_s = self._clock()  # a plan is a sign of the daemon
+            self._rows = plan.rows
+            for publisher, wanted in rows:
+                # The daemon repeats a plan when a swap failed, for example.
+                if wanted != publisher.plan or publisher.has_refused:
+                    self._retune(publisher, wanted)
+        self.hurry()
+
+    def _checked_rows(self, plan: PlanMessage) -> list[tuple[Paced, TopicPlan]]:
+        """Return the rows of this node's publishers.
+
+        Raises
+        ------
+        ValueError
+            If the plan is refused.
+        """
+        if plan.generation < (in_force := self._answer.generation):
+            raise ValueError(f"generation {plan.generation} is older than {in_force}, the plan in force")
+        return [
+            (publisher, checked_row(topic, plan.rows[topic], publisher.baseline))
+            for topic, publisher in self._publishers.items()
+            if topic in plan.rows
+        ]
+
+    def _give_row(self, publisher: Paced) -> None:
+        """Give a new publisher its row of the plan in force, which its node has answered for it too."""
+        topic = publisher.topic_name
+        if topic in self._rows:
+            with suppress(ValueError):  # the row of a predecessor with other QoS
+                if (row := checked_row(topic, self._rows[topic], publisher.baseline)).weight:
+                    self._retune(publisher, row)
+
+    def _retune(self, publisher: Paced, plan: TopicPlan) -> None:
+        publisher.retune(plan)
+        self._show_price(publisher)
+
+
+def _started(context: Context, clock: Callable[[], float]) -> WritingThread:
+    """Return the thread of a participant, which ends with it."""
+    thread = WritingThread(PacedQueue(Whole()), name="arpd-writing", is_alive=context.ok, clock=clock)
+    thread.start()
+    context.on_shutdown(thread.stop)
+    return thread

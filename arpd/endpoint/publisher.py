@@ -1,0 +1,354 @@
+"""AdaptivePublisher: an rclpy publisher whose rate, depth and deadline can be changed while it publishes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from copy import copy
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+
+from arpd.endpoint.flow import Flow
+from arpd.endpoint.node_publishers import NodePublishers
+from arpd.endpoint.writer import RosWriter, overridden, serialized, swap_failure, with_qos, without_ours
+from arpd.model.endpoints import (
+    NO_REFUSAL,
+    Direction,
+    PublisherState,
+    Refusal,
+    RefusalReason,
+    SwapResult,
+    WriterQos,
+)
+from arpd.model.plan import keeps_its_readers
+from arpd.model.settings import Overflow
+from arpd.ros.events import InvalidHandle
+from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
+from arpd.ros.rmw import current_rmw, lasting_refusal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.event_handler import PublisherEventCallbacks
+    from rclpy.node import Node
+    from rclpy.qos_overriding_options import QoSOverridingOptions
+
+    from arpd.endpoint.writer_swap import SwapTiming
+    from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
+
+_LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
+_RETRY_S, _WARN_EVERY_S = 0.1, 5.0
+_BUSY_S = 0.005  # a thread is at the writer, mostly for less
+
+
+class AdaptivePublisher:
+    """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
+
+    Until a daemon plans it, it behaves as a plain publisher: unpaced, with the application's QoS. It works from any
+    thread and under any executor. It uses a monotonic clock, with ``use_sim_time`` too.
+
+    Parameters
+    ----------
+    node : node it lives in; nothing of arpd's needs its executor
+    msg_type, topic, qos_profile, callback_group : as in `Node.create_publisher`, in the same order
+    event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
+        swap prepares or retires; the counts in the events start again with every swap
+    qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named
+    overflow : which samples are withheld when they come faster than the paced rate
+    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
+        old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
+    swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
+
+    Notes
+    -----
+    ``publisher_class`` of `Node.create_publisher` is not supported: a swap would lose the state of such an object, for
+    example whether a lifecycle publisher is active.
+
+    Raises
+    ------
+    ValueError
+        If the node already has an AdaptivePublisher on the topic, or if an override is out of bounds.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        callback_group: Any = None,
+        event_callbacks: PublisherEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+        overflow: Overflow = Overflow.LATEST,
+        swap_transient_local: bool = False,
+        swap_timing: SwapTiming | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.msg_type = msg_type
+        self.topic = topic
+        # A copy, so that later changes of the application's profile do not reach the next writer.
+        own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
+        self.qos_profile = overridden(node, node.resolve_topic_name(topic), own)
+        self._node = node
+        self._callback_group = callback_group
+        self._event_callbacks = event_callbacks
+        self._swap_transient_local = swap_transient_local
+        self._rmw = current_rmw()
+        self._overrides = without_ours(qos_overriding_options)
+        self._clock = clock
+        self._price: Price | None = None
+        self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
+        self._shared = NodePublishers.of(node)
+        self._flow = Flow(
+            create=self._create_writer,
+            qos=self._baseline,
+            overflow=overflow,
+            clock=clock,
+            on_swap=self._on_swap,
+            on_held=self._hurry,
+            timing=swap_timing,
+            lock=threading.RLock(),
+        )
+        self._overrides = None  # now part of the profile; rclpy declares each only once
+        if self._is_latched and swap_transient_local:
+            self._flow.keep_history()
+        self._refusal = self._clamp = NO_REFUSAL
+        self._refusals = 0  # readers that refused and that a warning named
+        self._resolved = str(self._writer.publisher.topic_name)
+        self._requests = Requests(node, self._resolved)
+        self._node_name = node.get_fully_qualified_name()
+        self._thread = self._shared.thread
+        self._thread.add(self._flow.lane)
+        try:
+            self._shared.adopt(self)
+        except Exception:
+            self._close()  # a refused publisher must not leave a live writer behind
+            raise
+
+    # -- the interface of rclpy.publisher.Publisher
+
+    @property
+    def topic_name(self) -> str:
+        """Fully qualified topic name."""
+        return self._resolved
+
+    @property
+    def handle(self) -> Any:
+        """Handle of the writer in force; a swap replaces it, so do not store it."""
+        return self._writer.publisher.handle
+
+    @property
+    def event_handlers(self) -> Any:
+        """Event handlers of the writer in force."""
+        return self._writer.publisher.event_handlers
+
+    @property
+    def logger_name(self) -> str:
+        """Name of the logger of the publisher's node."""
+        return str(self._writer.publisher.logger_name)
+
+    def publish(self, msg: Any) -> None:
+        """Publish a message, now or when pacing allows it.
+
+        The message is serialized at once, so later changes to it have no effect.
+
+        Parameters
+        ----------
+        msg : message of the publisher's type, or its serialized bytes
+
+        Raises
+        ------
+        TypeError
+            If it is neither.
+        """
+        self._thread.publish(self._flow.lane, serialized(msg, self.msg_type))
+
+    def pass_on(self, msg: Any) -> None:
+        """Publish without waiting for another write: for a caller that serves many topics, such as the relay.
+
+        A writer blocks while the link's queue is full. Samples that come meanwhile are conflated here, before they grow
+        old or are lost upstream.
+
+        Parameters
+        ----------
+        msg : as in `publish`
+        """
+        self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type))
+
+    def get_subscription_count(self) -> int:
+        """Count the matched readers."""
+        return self._writer.matched()
+
+    def assert_liveliness(self) -> None:
+        """Assert that this publisher is alive (MANUAL_BY_TOPIC)."""
+        self._writer.publisher.assert_liveliness()
+
+    def wait_for_all_acked(self, timeout: Any = None) -> bool:
+        """Wait until the writer in force is fully acknowledged, as rclpy does; samples that wait do not count."""
+        return self._writer.wait_for_all_acked(timeout)
+
+    def destroy(self) -> None:
+        """Destroy the publisher and all its writers."""
+        self._shared.release(self)
+        self._close()
+
+    # -- re-tuning
+
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings requested last."""
+        return self._flow.plan
+
+    @property
+    def baseline(self) -> WriterQos:
+        """QoS of the application at creation."""
+        return self._baseline
+
+    @property
+    def payload_bytes(self) -> float:
+        """Mean size of a sample, serialized (bytes)."""
+        return self._flow.lane.payload_bytes
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take new settings: pacing changes now, depth and deadline by a swap.
+
+        Parameters
+        ----------
+        plan : new settings; a deadline longer than a reader requests is clamped to that request, because the reader
+            would silently disconnect (docs/design.md, DDS facts)
+        """
+        requested_ns = self._requests.tightest_ns()
+        is_clamped = not keeps_its_readers(plan, requested_ns)
+        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to {requested_ns} ns, the shortest a reader requests")
+        depth = self._baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
+        qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
+        self._clamp = clamp if is_clamped else NO_REFUSAL
+        is_fixed = self._is_latched and not self._swap_transient_local
+        if qos == self._flow.qos:
+            self._refusal = NO_REFUSAL
+        elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
+            self._refusal, qos = refusal, self._flow.qos
+        self._flow.retune(plan, qos=qos)
+        self._thread.retune(self._flow.lane, plan, self._price)
+        self._hurry()
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link, from which the rate follows; None = no daemon is there."""
+        if price != self._price:
+            self._price = price
+            self._flow.set_loss(None if price is None else price.loss_ratio)
+            self._thread.retune(self._flow.lane, self._flow.plan, price)
+
+    def service(self, now_s: float) -> float:
+        """Take a step of the swap, and write what it held; return when to call again (s)."""
+        if not self._thread.claim(self._flow.lane):
+            return now_s + _BUSY_S
+        try:
+            return self._flow.service(now_s)
+        except InvalidHandle:
+            raise
+        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
+            self._node.get_logger().error(
+                f"{self._resolved}: a swap failed: {error}; arpd tries again",
+                throttle_duration_sec=_WARN_EVERY_S,
+                skip_first=False,
+            )
+            return now_s + _RETRY_S
+        finally:
+            self._thread.release(self._flow.lane)
+
+    @property
+    def has_refused(self) -> bool:
+        """True when it refused a part of what was requested last."""
+        return bool(self._refusal.words or self._clamp.words)
+
+    def state(self) -> PublisherState:
+        """Return the settings in force, for the daemon; called about once a second."""
+        refusal = self._refusal if self._refusal.words else self._clamp
+        self._warn_of_refusals()
+        return PublisherState(
+            node=self._node_name,
+            topic=self._resolved,
+            type_name=type_name_of(self.msg_type),
+            direction=Direction.LOCAL,
+            baseline_depth=self._baseline.depth,
+            baseline_deadline_ns=self._baseline.deadline_ns,
+            refusal=refusal.words,
+            refusal_reason=refusal.reason,
+            keeps_all=self._keeps_all,
+            **self._flow.state().counted(),
+        )
+
+    def _warn_of_refusals(self) -> None:
+        """Warn as rclpy's default callback does when a reader refuses the offered QoS."""
+        if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
+            return  # the application has its own callback; reading the count would take the event from it
+        if (refusals := self._writer.refusals()) > self._refusals:
+            self._refusals = refusals
+            self._node.get_logger().warning(
+                f"{self._resolved}: a subscription requests incompatible QoS and receives nothing; "
+                f"last incompatible policy: {self._writer.refused_policy}"
+            )
+
+    def _hurry(self) -> None:
+        self._thread.wake(self)
+
+    def _close(self) -> None:
+        self._thread.remove(self._flow.lane)
+        self._flow.close()
+
+    @property
+    def _writer(self) -> RosWriter:
+        return self._flow.writer
+
+    @property
+    def _is_latched(self) -> bool:
+        return bool(self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+    @property
+    def _keeps_all(self) -> bool:
+        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
+
+    def _create_writer(self, qos: WriterQos) -> RosWriter:
+        profile = with_qos(self.qos_profile, qos)
+        create = partial(
+            self._node.create_publisher,
+            self.msg_type,
+            self.topic,
+            profile,
+            callback_group=self._callback_group,
+            qos_overriding_options=self._overrides,
+        )
+        writer = RosWriter(
+            node=self._node,
+            create=create,
+            event_callbacks=self._event_callbacks,
+            is_current=self._is_current,
+            disconnected=lambda: self._lost_to(qos),
+            are_reliable=lambda: self._requests.are_reliable(),  # noqa: PLW0108 - made after the first writer
+        )
+        if self._overrides is not None:
+            self.qos_profile = copy(profile)
+        return writer
+
+    def _is_current(self, writer: RosWriter) -> bool:
+        flow = getattr(self, "_flow", None)
+        return flow is None or flow.writer is writer  # inside Flow's constructor there is only the first writer
+
+    def _lost_to(self, qos: WriterQos) -> list[str]:
+        """Name the readers that the writer in force serves and a writer with this QoS would not."""
+        return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
+
+    def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
+        self._shared.hurry()
+        if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
+            self._refusal = NO_REFUSAL
+        elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
+            offered_ns = self._flow.qos.deadline_ns
+            words = swap_failure(self._resolved, result, qos, requests=self._requests, offered_ns=offered_ns)
+            self._refusal = Refusal(RefusalReason(result.value), words)
+            self._node.get_logger().warning(words)

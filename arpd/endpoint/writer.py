@@ -1,0 +1,203 @@
+"""One rclpy publisher behind the `arpd.model.endpoints.Writer` protocol."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TYPE_CHECKING, Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSPolicyKind, QoSReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import serialize_message
+
+from arpd.model.endpoints import SwapResult, WriterQos
+from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
+from arpd.ros.events import MissedDeadlines, passing_on, status_of
+from arpd.ros.graph import deadline_ns_of
+from arpd.ros.rcl import rcl
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+
+    from arpd.ros.graph import Requests
+
+_EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
+_FOREVER = Duration(seconds=-1)  # rclpy's default
+
+
+class RosWriter:
+    """One of the writers behind an AdaptivePublisher.
+
+    Parameters
+    ----------
+    create : makes the rclpy publisher, given its ``event_callbacks``
+    event_callbacks : the application's own; called only while samples leave by this writer, so that the application
+        does not notice when there are two
+    is_current : returns whether samples leave by the given writer
+    disconnected : names the readers that a writer with this QoS would lose
+    are_reliable : returns whether all readers of the topic are reliable
+    """
+
+    def __init__(
+        self,
+        *,
+        node: Node,
+        create: Callable[..., Any],
+        event_callbacks: PublisherEventCallbacks | None,
+        is_current: Callable[[RosWriter], bool],
+        disconnected: Callable[[], list[str]],
+        are_reliable: Callable[[], bool],
+    ) -> None:
+        self._node = node
+        self._is_current = is_current
+        self._disconnected = disconnected
+        self._are_reliable = are_reliable
+        self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
+        self.refused_policy = ""  # by the reader that refused last
+        self.publisher = create(event_callbacks=self._filtered(event_callbacks))
+        self._outlet = rcl().outlet(self.publisher.handle)
+        self._has_deadline = deadline_ns_of(self.publisher.qos_profile) > 0
+
+    def publish(self, sample: bytes) -> None:
+        """Write one serialized sample."""
+        self._outlet.publish(sample)  # rclpy would hold the interpreter while the link is full
+
+    def matched(self) -> int:
+        """Count the matched readers."""
+        return int(self.publisher.get_subscription_count())
+
+    def is_acknowledged(self) -> bool:
+        """Return whether every sample written was acknowledged."""
+        # A longer timeout would block the pacing thread (docs/design.md, DDS facts).
+        return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
+
+    def wait_for_all_acked(self, timeout: Duration | None) -> bool:
+        """Wait until every sample written was acknowledged; None = as long as it takes."""
+        return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
+
+    def readers_acknowledge(self) -> bool:
+        """Return whether the readers acknowledge what arrives."""
+        is_reliable = self.publisher.qos_profile.reliability != QoSReliabilityPolicy.BEST_EFFORT
+        return is_reliable and self._are_reliable()
+
+    def disconnects_readers(self) -> bool:
+        """Return whether readers that the writer in force serves have refused this one."""
+        return self.refusals() > 0 and bool(self._disconnected())
+
+    def refusals(self) -> int:
+        """Count the readers that refused this writer's QoS since it was made, also those that another writer serves."""
+        status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS)
+        if status is None:
+            return 0  # not counted here: such a reader shows when matching times out
+        self.refused_policy = str(qos_policy_name_from_kind(status.last_policy_kind))
+        return int(status.total_count)
+
+    def deadlines_missed(self) -> int:
+        """Count the offered deadlines missed since it was made; a destroyed writer keeps its last known count."""
+        return self._deadlines.count(self.publisher) if self._has_deadline else 0
+
+    def destroy(self) -> None:
+        """Destroy the writer."""
+        self._node.destroy_publisher(self.publisher)
+
+    def _filtered(self, callbacks: PublisherEventCallbacks | None) -> PublisherEventCallbacks:
+        """Return the application's callbacks, each silent unless this writer is current."""
+        # No default callbacks: the executor would check each of them in every turn, only to log a warning.
+        filtered = PublisherEventCallbacks(use_default_callbacks=False)
+        for event in _EVENTS:
+            callback = getattr(callbacks, event, None)
+            if callback is not None:
+                wrap = self._deadlines.counting if event == "deadline" else passing_on
+                setattr(filtered, event, wrap(callback, if_=lambda _event: self._is_current(self)))
+        return filtered
+
+
+def swap_failure(topic: str, result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:
+    """Return in words why a writer swap failed.
+
+    Parameters
+    ----------
+    topic, requests : the topic, and what its readers request
+    result, qos : of the swap
+    offered_ns : deadline of the writer that stays (ns)
+    """
+    if result is SwapResult.FAILED:
+        reason = f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
+    else:
+        reason = requests.objection(offered_ns=offered_ns, offer_ns=qos.deadline_ns)
+    return f"writer swap of {topic} failed: {reason}; the old writer stays"
+
+
+def serialized(msg: Any, msg_type: Any) -> bytes:
+    """Return the bytes of a message, or the message itself where it is serialized already.
+
+    Raises
+    ------
+    TypeError
+        If it is neither of the type nor bytes.
+    """
+    if isinstance(msg, bytes):
+        return msg
+    if isinstance(msg, msg_type):
+        return bytes(serialize_message(msg))
+    raise TypeError(f"Expected {msg_type}, got {type(msg)}")
+
+
+def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
+    """Return a profile with another depth and deadline; every other policy is the application's."""
+    changed = copy(profile)
+    changed.depth = qos.depth
+    changed.deadline = Duration(nanoseconds=qos.deadline_ns)
+    return changed
+
+
+def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
+    """Return a profile with the depth and the deadline that the start of the process gives a publisher.
+
+    A parameter file or ``--ros-args -p`` gives them under ROS 2's standard names (design.ros2.org, "QoS Overrides by
+    Parameters"). They are the application's own QoS from then on; their parameters are read-only, as rclpy's are.
+
+    Parameters
+    ----------
+    topic : fully qualified name
+
+    Raises
+    ------
+    ValueError
+        If one is out of bounds; the message names the parameter.
+    """
+    own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
+    depth = _override(
+        node, topic, "depth", own.depth, lambda value: checked_depth(value, most=max(MOST_DEPTH, own.depth))
+    )
+    deadline_ns = _override(
+        node, topic, "deadline", own.deadline_ns, lambda value: checked_deadline_ns(value, own_ns=own.deadline_ns)
+    )
+    if (depth, deadline_ns) == (own.depth, own.deadline_ns):
+        return profile
+    return with_qos(profile, WriterQos(depth=depth, deadline_ns=deadline_ns))
+
+
+def _override(node: Node, topic: str, policy: str, own: int, check: Callable[[int], int]) -> int:
+    name = f"qos_overrides.{topic}.publisher.{policy}"
+    if not node.has_parameter(name):  # without a default: a later publisher of the topic may have other QoS of its own
+        description = ParameterDescriptor(read_only=True, description=f"{policy} of {topic}")
+        node.declare_parameter(name, Parameter.Type.INTEGER, description)
+    try:
+        return check(node.get_parameter_or(name, Parameter(name, value=own)).value)
+    except ValueError as fault:
+        raise ValueError(f"{name}: {fault}") from fault
+
+
+def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:
+    """Return the options without depth and deadline, which `overridden` declares."""
+    if options is None:
+        return None
+    kinds = [kind for kind in options.policy_kinds if kind not in {QoSPolicyKind.DEPTH, QoSPolicyKind.DEADLINE}]
+    return QoSOverridingOptions(kinds, callback=options.callback, entity_id=options.entity_id)

@@ -1,0 +1,249 @@
+"""The one thread of a participant that writes what waits in its paced queue, and serves who asked for a turn."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from rclpy.logging import get_logger
+
+from arpd.endpoint.lane import SMALL_BYTES
+from arpd.ros.events import InvalidHandle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from arpd.endpoint.lane import Lane
+    from arpd.endpoint.queue import PacedQueue
+    from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
+
+_WARN_EVERY_S = 5.0
+_IDLE_S = 1.0  # most between two turns, for the watchdog
+_BLOCKED_S = 0.05  # a scheduler takes less
+_SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
+
+
+class Turn(Protocol):
+    """Who wants to be called now and then."""
+
+    def service(self, now_s: float) -> float:
+        """Do what is due; return when to call again, ``inf`` = not before `WritingThread.wake` (s)."""
+
+
+class WritingThread:
+    """Serves a paced queue; a thread that publishes may write at once what need not wait.
+
+    A lane that a thread writes to is claimed, so that its samples leave in order and no other topic waits for it here.
+    Writers of one participant still wait for each other inside Fast DDS while the socket is full.
+
+    Parameters
+    ----------
+    queue : what waits
+    name : of the thread
+    is_alive : returns False once its participant is gone, which ends the thread
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        queue: PacedQueue,
+        *,
+        name: str,
+        is_alive: Callable[[], bool] = lambda: True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._queue = queue
+        self._is_alive = is_alive
+        self._clock = clock
+        self._lock = threading.RLock()  # guards all of these
+        self._changed = threading.Condition(self._lock)  # the thread waits
+        self._freed = threading.Condition(self._lock)  # others wait for a lane that is claimed
+        self._waiters = 0
+        self._turns: dict[Turn, float] = {}  # when they are due
+        self._is_stopping = False
+        self._next_s = 0.0  # when the thread wakes
+        self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
+        self.finished_s = clock()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to write."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; what waits is lost."""
+        with self._lock:
+            self._is_stopping = True
+            self._changed.notify()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=1.0)
+
+    def add(self, lane: Lane) -> None:
+        """Serve a lane from now on."""
+        with self._lock:
+            self._queue.add(lane)
+
+    def remove(self, lane: Lane) -> None:
+        """Serve it no more, after a write to it has ended."""
+        with self._lock:
+            self._wait_for(lane)
+            self._queue.remove(lane)
+
+    @property
+    def topics(self) -> int:
+        """Count the lanes."""
+        return len(self._queue)
+
+    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = there is none."""
+        with self._lock:
+            self._queue.retune(lane, plan, price)
+            self._wake_for_queue()
+
+    def offer(self, lane: Lane, message: bytes, *, source: Hashable = None, lifespan_ns: int = 0) -> None:
+        """Let a message wait for its turn.
+
+        Parameters
+        ----------
+        source : its writer
+        lifespan_ns : LIFESPAN of that, 0 = infinite (ns)
+        """
+        now_s = self._clock()
+        expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
+        with self._lock:
+            self._queue.offer(lane, message, now_s, source=source, expires_s=expires_s)
+            self._wake_for_queue()
+
+    def publish(self, lane: Lane, message: bytes) -> None:
+        """Write a message in this thread if it may leave now, after the one that another thread is writing."""
+        now_s = self._clock()
+        with self._lock:
+            if lane.claimant is not None:
+                self._wait_for(lane)
+            sample = self._take(lane, message, now_s)
+        if sample is not None:
+            self._write(lane, sample)
+
+    def pass_on(self, lane: Lane, message: bytes) -> None:
+        """Write a small message in this thread if it may leave now and writes do not block; never wait.
+
+        For a caller that serves many topics. What blocks is left to the other thread.
+        """
+        now_s = self._clock()
+        if len(message) > SMALL_BYTES or now_s < self._shunned_until_s:
+            self.offer(lane, message)
+            return
+        with self._lock:
+            sample = self._take(lane, message, now_s)
+        if sample is not None and (took_s := self._write(lane, sample)) > _BLOCKED_S:
+            self._shunned_until_s = now_s + _SHUN * took_s
+
+    def claim(self, lane: Lane) -> bool:
+        """Return whether the caller may be at a lane's writer now; `release` comes next."""
+        with self._lock:
+            if lane.claimant is not None:
+                return False
+            lane.claimant = threading.get_ident()
+            return True
+
+    def release(self, lane: Lane) -> None:
+        """Let others be at the lane's writer."""
+        with self._lock:
+            lane.claimant = None
+            if self._waiters:
+                self._freed.notify_all()
+            self._wake_for_queue()
+
+    def wake(self, turn: Turn) -> None:
+        """Serve one who wants a turn at once; for any thread."""
+        with self._lock:
+            self._turns[turn] = -math.inf
+            self._wake(0.0)
+
+    def _wait_for(self, lane: Lane) -> None:
+        self._waiters += 1
+        while lane.claimant not in {None, threading.get_ident()}:  # a signal may call this inside a write
+            self._freed.wait()
+        self._waiters -= 1
+
+    def _take(self, lane: Lane, message: bytes, now_s: float) -> bytes | None:
+        """Return what the caller writes now, for which it then has claimed the lane."""
+        sample: bytes | None = message
+        if not self._queue.admit(lane, message, now_s):
+            self._queue.offer(lane, message, now_s)
+            sample = self._queue.take_of(lane, now_s)
+        if sample is None:
+            self._wake_for_queue()
+        else:
+            lane.claimant = threading.get_ident()
+        return sample
+
+    def _write(self, lane: Lane, sample: bytes) -> float:
+        """Write a sample; return how long that took (s)."""
+        before_s = self._clock()
+        try:
+            lane.write(sample)
+        finally:
+            took_s = self._clock() - before_s
+            lane.blocked_s += took_s
+            self.release(lane)
+        return took_s
+
+    def _serve(self, turn: Turn) -> None:
+        due_s = turn.service(self._clock())
+        with self._lock:
+            if due_s < self._turns.get(turn, math.inf):
+                self._turns[turn] = due_s
+
+    def _wake(self, by_s: float) -> None:
+        if by_s < self._next_s:
+            self._next_s = by_s
+            self._changed.notify()
+
+    def _wake_for_queue(self) -> None:
+        if self._next_s > 0.0 and self._queue.is_waiting:
+            self._wake(self._queue.due_s(self._clock()))
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if self._is_stopping or not self._is_alive():
+                    return
+                act = self._choose(self._clock())
+                if act is None:
+                    now_s = self.finished_s = self._clock()
+                    self._next_s = min(now_s + _IDLE_S, self._due_s(now_s))
+                    if self._next_s > now_s:
+                        self._changed.wait(self._next_s - now_s)
+                    self._next_s = 0.0  # nobody need wake a thread that is awake
+                    continue
+            try:
+                act()
+            except InvalidHandle:
+                continue  # what it was for has just been destroyed
+            except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
+                get_logger("arpd").error(
+                    f"a write failed: {error}; the next one follows",
+                    throttle_duration_sec=_WARN_EVERY_S,
+                    skip_first=False,
+                )
+            self.finished_s = self._clock()
+
+    def _choose(self, now_s: float) -> Callable[[], object] | None:
+        """Return what to do now, None if nothing is due."""
+        for turn, due_s in self._turns.items():
+            if due_s <= now_s:
+                del self._turns[turn]
+                return partial(self._serve, turn)
+        if (ready := self._queue.take(now_s)) is None:
+            return None
+        ready.lane.claimant = threading.get_ident()
+        return partial(self._write, *ready)
+
+    def _due_s(self, now_s: float) -> float:
+        """Return when `_choose` may have something (s)."""
+        return min(self._queue.due_s(now_s), *self._turns.values(), math.inf)

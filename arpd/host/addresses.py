@@ -1,0 +1,57 @@
+"""Notices addresses on the link that are newer than ROS in this process."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from arpd.host.interface import ipv4_addresses
+from arpd.model.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_LOOK_S = 1.0
+_SETTLED_S = 3.0  # a new interface gets its addresses one by one
+
+
+class Addresses:
+    """Notices that the link interface has an address that ROS in this process does not use.
+
+    Fast DDS 2.14 reads the addresses of its host once per process. Measured: a node that is older than the link's
+    address sends nothing over the link, and neither does a second node of the same process; the peer hears a new
+    process within seconds.
+
+    Parameters
+    ----------
+    interface : returns the current name of the link interface
+    addresses : returns the addresses of every interface
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        interface: Callable[[], str],
+        *,
+        addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._interface = interface
+        self._addresses = addresses
+        self._clock = clock
+        self._known = frozenset[str]().union(*addresses().values())
+        self._new: frozenset[str] = frozenset()
+        self._new_since_s = self._looked_s = clock()
+
+    def are_outdated(self) -> bool:
+        """Return whether the link has had a new address for three seconds; cheap enough for every tick."""
+        if (now_s := self._clock()) - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            new = self._addresses().get(self._interface(), frozenset()) - self._known
+            if new != self._new:
+                self._new, self._new_since_s = new, now_s
+        return bool(self._new) and now_s - self._new_since_s >= _SETTLED_S
+
+    def error(self) -> LinkError:
+        """Return the error that ends the process, because only a new process uses the address."""
+        return LinkError(f"{self._interface()} has a new address, which ROS in this process cannot use; start it again")

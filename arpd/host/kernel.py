@@ -1,0 +1,108 @@
+"""Reads what the kernel allows and has lost: socket buffers, IP reassembly, packet sizes; and if its clock is kept."""
+
+from __future__ import annotations
+
+import ctypes
+import socket
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from arpd.host.interface import ipv4_addresses
+from arpd.report.health import NetworkLimits, Unknown
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
+_PROC = Path("/proc")
+_SYS_NET = Path("/sys/class/net")
+_TIMEX_BYTES = 512  # struct timex (linux/timex.h) has 208 on 64-bit systems
+_TIME_ERROR = 5  # of adjtimex(2): the clock is not synchronised
+_IP_MTU = 14  # linux/in.h
+_DISCARD_PORT = 9  # nothing is sent there
+
+
+def read_limits(proc: Path = _PROC) -> NetworkLimits:
+    """Return the limits for datagrams and the losses, of this network namespace where the kernel counts by those."""
+    udp, ip = _counters(proc, "Udp"), _counters(proc, "Ip")
+    return NetworkLimits(
+        buffer_bytes=read_number(proc / "sys/net/core/rmem_default"),
+        received=udp.get("InDatagrams"),
+        overflowed=udp.get("RcvbufErrors"),
+        reassembly_s=read_number(proc / "sys/net/ipv4/ipfrag_time"),
+        reassembly_bytes=read_number(proc / "sys/net/ipv4/ipfrag_high_thresh"),
+        reassembled=ip.get("ReasmOKs"),
+        incomplete=ip.get("ReasmFails"),
+    )
+
+
+def read_number(path: Path) -> int | None:
+    """Return the number in a file of the kernel's, None if there is none."""
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int | Unknown:
+    """Return the MTU of an interface (bytes)."""
+    found = read_number(sys_net / interface / "mtu")
+    return Unknown(f"there is no interface {interface}") if found is None else found
+
+
+def route_mtu(address: str) -> int | None:
+    """Return the largest packet that the kernel would send to an address, None if it does not tell (bytes).
+
+    It knows the MTU of the route, and what routers on the way have answered. Nothing is sent.
+    """
+    return _on_the_way(address, lambda asked: asked.getsockopt(socket.IPPROTO_IP, _IP_MTU))
+
+
+def interface_to(address: str) -> str | None:
+    """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
+    own: str | None = _on_the_way(address, lambda asked: asked.getsockname()[0])
+    return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
+
+
+def is_own_address(address: str) -> bool:
+    """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
+    ends = _on_the_way(address, lambda asked: (asked.getsockname()[0], asked.getpeername()[0]))
+    return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
+
+
+def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
+    """Return what a socket with a route to the address tells, None without a route."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+            asked.connect((address, _DISCARD_PORT))
+            return ask(asked)
+    except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
+        return None
+
+
+def _adjtimex() -> int:
+    buffer = ctypes.create_string_buffer(_TIMEX_BYTES)  # zeros: it only asks
+    return int(ctypes.CDLL(None, use_errno=True).adjtimex(buffer))
+
+
+def is_clock_synchronised(ask: Callable[[], int] = _adjtimex) -> bool | None:
+    """Return whether the kernel holds its clock synchronised, as chrony and timesyncd tell it; None = not known."""
+    try:
+        state = ask()
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else state != _TIME_ERROR
+
+
+def _counters(proc: Path, protocol: str) -> dict[str, int]:
+    """Return the counters of one protocol (/proc/net/snmp): a line of names, then one of numbers."""
+    try:
+        lines = (proc / "net/snmp").read_text().splitlines()
+    except OSError:
+        return {}
+    rows = [line.split()[1:] for line in lines if line.startswith(f"{protocol}:")]
+    try:
+        return dict(zip(rows[0], map(int, rows[1]), strict=True))
+    except (IndexError, ValueError):
+        return {}

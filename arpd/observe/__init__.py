@@ -1,1 +1,0 @@
-"""Messages from the network: how many are admitted, and what is believed of them."""

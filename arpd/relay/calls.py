@@ -1,0 +1,330 @@
+"""Calls of services across the link, whose records may be lost, doubled or reordered: pure.
+
+A call is known by the session of the end that makes it, its caller, and a number that only grows. Once a second the
+caller says which of its calls wait. The other end, the callee, then sends their outcomes again, asks for the requests
+that it lacks, and gives up all other calls. It keeps the last outcomes, so that a late copy of a request does not run.
+Each record names the session of the process that it is meant for: another one ignores it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+from arpd.endpoint.lane import SMALL_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+REPEAT_S = 1.0
+MOST_CALLS = 1000  # that wait, that run, and whose outcomes are kept
+MOST_BYTES = 64_000_000  # of the requests that wait, and of the outcomes that are kept
+_MOST_MESSAGE = 250  # characters
+_HEADER = struct.Struct(">BIQ")  # kind, session that it is meant for, number
+_NUMBER_BYTES = 8
+
+#: Writes a record to the link. One that still waits there is replaced by the next one with the same source.
+Send: TypeAlias = "Callable[[bytes, int], None]"
+
+
+class Kind(IntEnum):
+    """Kind of a record: the caller sends the first two, the callee the others.
+
+    WAITING has the numbers of all calls that wait, and as its own the number of the next one. MISSING asks for a
+    request.
+    """
+
+    REQUEST = 1
+    WAITING = 2
+    MISSING = 3
+    ANSWER = 4
+    FAILURE = 5
+
+
+class Record(NamedTuple):
+    """Part of a call that crosses the link: its kind, the session that it is meant for, its call, and the rest."""
+
+    kind: Kind
+    to: int
+    number: int
+    body: bytes = b""
+
+
+class Request(NamedTuple):
+    """A request: its service, its type, ``example_interfaces/srv/AddTwoInts``, and the serialized message."""
+
+    service: str
+    type_name: str
+    body: bytes
+
+
+class FailureReason(StrEnum):
+    """Reason why a call has no answer."""
+
+    TIMEOUT = "timeout"
+    UNREACHABLE = "unreachable"
+    RESTARTED = "restarted"
+    NO_SERVER = "no_server"
+    TYPE = "type"
+    BUSY = "busy"
+
+
+class CallFailure(NamedTuple):
+    """A call without an answer: the reason, and the same in words."""
+
+    reason: FailureReason
+    message: str
+
+
+Outcome: TypeAlias = bytes | CallFailure  # the serialized response
+
+
+class CallId(NamedTuple):
+    """A call at the end that runs it: the session of its caller, and its number there."""
+
+    caller: int
+    number: int
+
+
+def encode_record(record: Record) -> bytes:
+    """Return the record as bytes."""
+    return _HEADER.pack(*record[:3]) + record.body
+
+
+def decode_record(data: bytes) -> Record:
+    """Return the record from its bytes.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no record.
+    """
+    if len(data) < _HEADER.size:
+        raise ValueError(f"a record of {len(data)} bytes; it has {_HEADER.size} at least")
+    kind, to, number = _HEADER.unpack_from(data)
+    return Record(Kind(kind), to, number, data[_HEADER.size :])
+
+
+class _Waiting(NamedTuple):
+    """A call that waits for its outcome."""
+
+    service: str
+    record: bytes
+    on_end: Callable[[Outcome], None]
+    until_s: float
+
+
+class Caller:
+    """Makes calls to the other end; each one ends exactly once, with an answer or a failure.
+
+    Parameters
+    ----------
+    send : writes one record to the link
+    """
+
+    def __init__(self, *, send: Send) -> None:
+        self._send = send
+        self._callee = 0
+        self._is_reachable = False
+        self._waiting: dict[int, _Waiting] = {}
+        self._next = 1
+        self._tell_s = math.inf  # when to say which calls wait
+
+    def __len__(self) -> int:
+        """Return how many calls wait."""
+        return len(self._waiting)
+
+    def follow(self, callee: int | None) -> None:
+        """Make calls to this session of the other end from now on; calls that wait for another one fail.
+
+        Parameters
+        ----------
+        callee : None = the other end is unreachable
+        """
+        if callee is None:
+            self._give_up(self._waiting, FailureReason.UNREACHABLE, "the other end became unreachable")
+        elif callee != self._callee:
+            self._give_up(self._waiting, FailureReason.RESTARTED, "the other end restarted; the call may have run")
+            self._callee = callee
+        self._is_reachable = callee is not None
+
+    def call(self, request: Request, *, timeout_s: float, now_s: float, on_end: Callable[[Outcome], None]) -> None:
+        """Begin a call.
+
+        Parameters
+        ----------
+        timeout_s : time after which it fails (s)
+        now_s : monotonic time (s)
+        on_end : called once with the outcome, perhaps before this returns
+        """
+        if not self._is_reachable:
+            on_end(CallFailure(FailureReason.UNREACHABLE, "the other end is unreachable"))
+            return
+        body = f"{request.service}\0{request.type_name}\0".encode() + request.body
+        record = encode_record(Record(Kind.REQUEST, self._callee, self._next, body))
+        size = sum(len(call.record) for call in self._waiting.values()) + len(record)
+        if len(self._waiting) >= MOST_CALLS or size > MOST_BYTES:
+            words = f"more than {MOST_CALLS} calls, or {MOST_BYTES} bytes of their requests, would wait"
+            on_end(CallFailure(FailureReason.BUSY, words))
+            return
+        self._waiting[self._next] = _Waiting(request.service, record, on_end, now_s + timeout_s)
+        self._send(record, self._next)
+        self._next += 1
+        self._tell_s = min(self._tell_s, now_s + REPEAT_S)
+
+    def fail(self, service: str, message: str) -> None:
+        """End all calls of a service that the other end does not serve any more."""
+        numbers = [number for number, call in self._waiting.items() if call.service == service]
+        self._give_up(numbers, FailureReason.NO_SERVER, message)
+
+    def receive(self, sender: int, record: Record) -> None:
+        """Take a record of the other end.
+
+        Raises
+        ------
+        ValueError
+            If a failure has no reason that this end knows.
+        """
+        if sender != self._callee or record.number not in self._waiting:
+            return
+        if record.kind is Kind.MISSING:
+            self._send(self._waiting[record.number].record, record.number)
+        elif record.kind is Kind.ANSWER:
+            call = self._waiting.pop(record.number)
+            if len(record.body) > SMALL_BYTES:
+                self._tell()  # the other end has no room for many
+            call.on_end(record.body)
+        elif record.kind is Kind.FAILURE:
+            reason, _, message = record.body.decode().partition("\0")
+            failure = CallFailure(FailureReason(reason), message)
+            self._waiting.pop(record.number).on_end(failure)
+
+    def step(self, now_s: float) -> None:
+        """Say which calls wait, and end those whose time is over; call it several times a second."""
+        late = [number for number, call in self._waiting.items() if now_s >= call.until_s]
+        self._give_up(late, FailureReason.TIMEOUT, "no answer in time")
+        if now_s >= self._tell_s and self._is_reachable:
+            self._tell()
+            self._tell_s = now_s + REPEAT_S if self._waiting else math.inf
+
+    def _give_up(self, numbers: Iterable[int], reason: FailureReason, message: str) -> None:
+        ended = [(number, self._waiting.pop(number)) for number in [*numbers]]
+        for number, call in ended:
+            self._tell(number)  # takes the place of its request where that has not left yet
+            call.on_end(CallFailure(reason, message))
+
+    def _tell(self, source: int = 0) -> None:
+        numbers = struct.pack(f">{len(self._waiting)}Q", *self._waiting)
+        self._send(encode_record(Record(Kind.WAITING, self._callee, self._next, numbers)), source)
+
+
+class Callee:
+    """Runs the calls of the other end, each at most once, and keeps the last outcomes.
+
+    Parameters
+    ----------
+    send : writes one record to the link
+    run : called once per call; `finish` ends it, at once or later
+    stop : called when nobody waits for the outcome of a call that runs
+    """
+
+    def __init__(self, *, send: Send, run: Callable[[CallId, Request], None], stop: Callable[[CallId], None]) -> None:
+        self._send = send
+        self._run, self._stop = run, stop
+        self._caller = 0
+        # None while a call runs, then the record of its outcome, empty where nobody waits; the last used last
+        self._calls: dict[CallId, bytes | None] = {}
+
+    def __len__(self) -> int:
+        """Return how many calls run."""
+        return sum(record is None for record in self._calls.values())
+
+    def follow(self, caller: int | None) -> None:
+        """Run calls of this session of the other end from now on; None = unreachable, which changes nothing."""
+        if caller is not None and caller != self._caller:
+            self._caller = caller
+            for call in self._calls:
+                if call.caller != caller:
+                    self._close(call)
+
+    def receive(self, sender: int, record: Record) -> None:
+        """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
+
+        Raises
+        ------
+        ValueError
+            If it is no request or no numbers of calls.
+        """
+        if sender != self._caller:
+            return
+        if record.kind is Kind.REQUEST:
+            service, type_name, body = record.body.split(b"\0", 2)
+            request = Request(service.decode(), type_name.decode(), body)
+            self._serve(CallId(sender, record.number), request)
+        elif record.kind is Kind.WAITING:
+            count, odd = divmod(len(record.body), _NUMBER_BYTES)
+            if odd or count > MOST_CALLS:
+                raise ValueError(f"{len(record.body)} bytes of numbers of calls")
+            self._settle(record.number, {*struct.unpack(f">{count}Q", record.body)})
+
+    def finish(self, call: CallId, outcome: Outcome) -> None:
+        """End a call with its outcome; one that the caller has given up is ignored."""
+        if self._calls.get(call, b"") is not None:
+            return
+        record = _outcome_record(call, outcome)
+        if sum(len(kept) for kept in self._calls.values() if kept) + len(record) > MOST_BYTES:
+            failure = CallFailure(FailureReason.BUSY, f"more than {MOST_BYTES} bytes of answers would wait")
+            record = _outcome_record(call, failure)
+        self._calls[call] = record
+        self._repeat(call)
+        over = [each for each, kept in self._calls.items() if kept is not None]
+        for each in over[:-MOST_CALLS]:
+            del self._calls[each]
+
+    def _serve(self, call: CallId, request: Request) -> None:
+        if call in self._calls:
+            self._repeat(call)
+            return
+        is_free = len(self) < MOST_CALLS
+        self._calls[call] = None
+        if is_free:
+            self._run(call, request)
+        else:
+            self.finish(call, CallFailure(FailureReason.BUSY, f"{MOST_CALLS} calls run"))
+
+    def _settle(self, following: int, waiting: set[int]) -> None:
+        """Give up what the caller has given up, and send what it lacks."""
+        for call in self._calls:
+            if call.caller == self._caller and call.number < following and call.number not in waiting:
+                self._close(call)
+        for call in (CallId(self._caller, number) for number in sorted(waiting)):
+            if call in self._calls:
+                self._repeat(call)
+            else:
+                self._ask(call)
+
+    def _repeat(self, call: CallId) -> None:
+        if record := self._calls[call]:
+            del self._calls[call]
+            self._calls[call] = record
+            self._send(record, -call.number)
+
+    def _close(self, call: CallId) -> None:
+        """Forget the outcome of a call, but not that it ran."""
+        record, self._calls[call] = self._calls[call], b""
+        if record is None:
+            self._stop(call)
+        elif len(record) > SMALL_BYTES:
+            self._ask(call)  # takes the place of the answer where that has not left yet
+
+    def _ask(self, call: CallId) -> None:
+        self._send(encode_record(Record(Kind.MISSING, *call)), -call.number)
+
+
+def _outcome_record(call: CallId, outcome: Outcome) -> bytes:
+    if isinstance(outcome, CallFailure):
+        body = f"{outcome.reason}\0{outcome.message[:_MOST_MESSAGE]}".encode(errors="replace")
+        return encode_record(Record(Kind.FAILURE, call.caller, call.number, body))
+    return encode_record(Record(Kind.ANSWER, call.caller, call.number, outcome))

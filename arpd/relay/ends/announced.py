@@ -1,0 +1,72 @@
+"""Participants of the other side that announce themselves on the link although the relay carries their topics."""
+
+from __future__ import annotations
+
+import logging
+import select
+import socket
+import threading
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from arpd.host.discovery import discovery_socket, join_discovery, participant_in
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+log = logging.getLogger(__name__)
+_MOST = 1000
+_FORGET_S = 60.0
+
+
+class AnnouncedParticipants:
+    """Hears the multicast discovery of the local domain, and remembers whose it is.
+
+    It hears this host's nodes, too. A participant of the other side that announces itself here has crossed the link
+    without the relay. An end confined to its host does not see it in its graph.
+
+    Parameters
+    ----------
+    domain_id : the local domain
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self._heard_s: dict[str, float] = {}
+        self._is_ended = False
+        self._socket: socket.socket | None = None
+        try:
+            self._socket = _listening(domain_id)
+        except OSError as error:
+            log.warning("cannot listen for nodes that cross the link on their own: %s", error)
+            return
+        threading.Thread(target=self._run, args=(self._socket,), name="arpd-announced", daemon=True).start()
+
+    def recent(self) -> Collection[str]:
+        """Return the first 12 bytes of the GUIDs of those heard in the last minute, in hexadecimal digits."""
+        now_s = time.monotonic()
+        return {guid for guid, heard_s in self._heard_s.copy().items() if now_s - heard_s < _FORGET_S}
+
+    def close(self) -> None:
+        """End the thread."""
+        self._is_ended = True
+
+    def _run(self, heard: socket.socket) -> None:
+        with heard:
+            while not self._is_ended:
+                if not select.select([heard], [], [], 1.0)[0]:
+                    continue
+                packet = heard.recv(64)  # its header is enough
+                if (participant := participant_in(packet)) is not None:
+                    if len(self._heard_s) > _MOST:
+                        self._heard_s.clear()
+                    self._heard_s[participant.hex()] = time.monotonic()
+
+
+def _listening(domain_id: int) -> socket.socket:
+    """Return a socket that hears the multicast discovery on every interface that can join it."""
+    heard = discovery_socket(domain_id)
+    for index, _name in socket.if_nameindex():
+        with suppress(OSError):  # down, or without an address
+            join_discovery(heard, index)
+    return heard

@@ -1,0 +1,270 @@
+"""Ghosts of the other side's nodes and writers, which make its topics look here as they look there."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile
+
+from arpd.endpoint.writer import RosWriter, swap_failure
+from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
+from arpd.model.endpoints import SwapResult, WriterQos
+from arpd.ros.graph import Requests, policies_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from arpd.relay.envelope import Record
+    from arpd.relay.offers import WriterOffer
+
+log = logging.getLogger(__name__)
+_MATCH_S = 0.5  # a reader on this host finds a new writer sooner
+_MOST_HELD = 1000
+# Samples that a swap held leave at twice their rate or a little faster; a burst would push others out of a reader's
+# small history.
+_PER_WRITE, _PER_STEP = 2, 5
+# A writer whose reader stands still is never acknowledged. It stays until it is: a plan here is in no hurry.
+_TIMING = SwapTiming(patience_s=math.inf)
+_ASK_AGAIN_S = 60.0  # a refused swap, or a reader that has left, changes what can be in force
+NO_PLAN = WriterQos(depth=0, deadline_ns=0)
+_NO_TYPE_DESCRIPTION = Parameter("start_type_description_service", value=False)
+
+
+class GhostNodes:
+    """Nodes of this process with the names of the other side's nodes, each made on first use.
+
+    Parameters
+    ----------
+    node : the end's own node; a ghost with its name, or a name that ROS refuses, is this node itself
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._ghosts: dict[str, Node] = {}
+        self._kept: dict[str, set[str]] = {}
+        self._lock = threading.Lock()
+
+    def of(self, name: str, *, owner: str) -> Node:
+        """Return the ghost of the node with this fully qualified name; for any thread.
+
+        Parameters
+        ----------
+        owner : keeps it from now on, so that no other thread destroys it before the caller's next `keep`
+        """
+        if name in {"", self._node.get_fully_qualified_name()}:
+            return self._node
+        with self._lock:
+            self._kept.setdefault(owner, set()).add(name)
+            return self._of(name)
+
+    def served(self, name: str, *, owner: str) -> Node:
+        """Return the ghost, served by the executor of the end's own node; only for the thread of that executor."""
+        ghost = self.of(name, owner=owner)
+        if ghost.executor is None and self._node.executor is not None:
+            self._node.executor.add_node(ghost)
+        return ghost
+
+    def keep(self, owner: str, names: set[str]) -> None:
+        """Destroy the ghosts that no owner keeps; the caller has destroyed their endpoints.
+
+        Parameters
+        ----------
+        owner : keeps these ghosts, instead of those it kept before
+        names : fully qualified names
+        """
+        with self._lock:
+            self._kept[owner] = set(names)
+            for name in self._ghosts.keys() - set().union(*self._kept.values()):
+                self._ghosts.pop(name).destroy_node()
+
+    def release(self, owner: str, names: set[str]) -> None:
+        """Do as `keep`, after the executor has left the ghosts that this owner no longer keeps; as for `served`."""
+        for name in self._kept.get(owner, set()) - names:
+            ghost = self._ghosts.get(name)
+            if ghost is not None:
+                # An executor holds its nodes, destroyed ones too. `remove_node` alone would leave the node with an
+                # executor that does not serve it: one that another owner keeps would never be served again.
+                ghost.executor = None
+        self.keep(owner, names)
+
+    def close(self) -> None:
+        """Destroy all ghosts."""
+        with self._lock:
+            while self._ghosts:
+                self._ghosts.popitem()[1].destroy_node()
+
+    def _of(self, name: str) -> Node:
+        if name not in self._ghosts:
+            namespace, _, base = name.rpartition("/")
+            try:
+                self._ghosts[name] = rclpy.create_node(
+                    base,
+                    namespace=namespace or "/",
+                    context=self._node.context,
+                    use_global_arguments=False,
+                    enable_rosout=False,
+                    start_parameter_services=False,
+                    parameter_overrides=[_NO_TYPE_DESCRIPTION],
+                )
+            except (ValueError, RuntimeError):  # a foreign middleware may have names that rcl refuses
+                return self._node
+        return self._ghosts[name]
+
+
+class GhostWriter:
+    """The ghost of one writer: the same QoS, and every sample of that writer once and in its order.
+
+    Its readers find it some time after it is made. Until then it holds its samples, so that none is lost.
+
+    A swap gives it the plan's depth and deadline, but no longer deadline than the original offers, and the one in force
+    where a longer one would lose a reader that hears it. And no smaller depth than without a plan: the plan's is what
+    may wait for the link, perhaps one sample, while this one keeps what has arrived for a reader on this host that
+    pauses. A latched ghost is never swapped: late readers would miss its samples, or those already there get them
+    twice.
+
+    Parameters
+    ----------
+    node : ghost of the writer's node
+    msg_type, topic : as in `Node.create_publisher`
+    offer : QoS of the writer
+    depth : KEEP_LAST depth without a plan; discovery does not tell the original's (samples)
+    planned : depth and deadline of the plan
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        offer: WriterOffer,
+        *,
+        depth: int,
+        planned: WriterQos = NO_PLAN,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.offer = offer
+        self._node = node
+        self._msg_type = msg_type
+        self._topic = topic
+        self._depth = depth
+        self._planned = NO_PLAN if offer.is_latched else planned
+        self._clock = clock
+        self._requests = Requests(node, topic)
+        # The lock of `Incoming` lets one thread write.
+        self._swap = WriterSwap(create=self._create, on_result=self._on_result, qos=self._wanted(), timing=_TIMING)
+        self._swap.loss_ratio = 0.0  # its readers are on this host
+        self.due_s = math.inf if self._planned == NO_PLAN else clock()  # when to `swap`
+        self._refusal = ""
+        self._made_s = clock()
+        self._is_found = False
+        self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
+        self._last = 0  # number of the newest sample
+
+    def matched(self) -> int:
+        """Count its readers."""
+        return self._swap.current.matched()
+
+    def write(self, record: Record) -> bool:
+        """Write a sample, unless it was written before; return whether it was new."""
+        if record.sequence <= self._last:
+            return False
+        self._last = record.sequence
+        if self._is_found and not self._held and not self._swap.awaits_silence:  # the usual case
+            self._swap.current.publish(record.sample)
+            return True
+        self._held.append(record.sample)
+        if self._swap.awaits_silence:  # the sample before is most likely acknowledged just now
+            self._swap.step(self._clock())
+        self._release(_PER_WRITE)
+        return True
+
+    def retune(self, planned: WriterQos) -> None:
+        """Take the plan's depth and deadline; `swap` follows at ``due_s``."""
+        if planned != self._planned and not self.offer.is_latched:
+            self._planned, self.due_s = planned, self._clock()
+
+    def swap(self) -> None:
+        """Ask for the plan's QoS, which steps put in force."""
+        self.due_s = self._clock() + _ASK_AGAIN_S
+        wanted = self._wanted()
+        if self._lost_to(wanted):
+            wanted = replace(wanted, deadline_ns=self._swap.qos.deadline_ns)
+        self._swap.request(wanted)
+
+    def step(self, *, is_reachable: bool = True) -> None:
+        """Move a swap on, and write the samples that wait for it or for readers; live as the original does.
+
+        Parameters
+        ----------
+        is_reachable : whether the original's end is: what it said of the original does not hold any longer otherwise
+        """
+        if self.offer.is_alive and is_reachable:
+            self._swap.current.publisher.assert_liveliness()
+        if self._swap.is_busy:
+            self._swap.step(self._clock())
+        self._release(_PER_STEP)
+
+    def destroy(self) -> None:
+        """Destroy the writer."""
+        self._swap.close()
+
+    def _release(self, most: int) -> None:
+        """Write the samples that it holds, all at once when its readers have just found it."""
+        if not self._is_found:
+            self._is_found = self.matched() > 0 or self._clock() - self._made_s > _MATCH_S
+            most = _MOST_HELD if self._is_found else 0
+        while most and self._held and not self._swap.is_holding:
+            most -= 1
+            self._swap.current.publish(self._held.popleft())
+            self._swap.wrote(self._clock())
+
+    def _wanted(self) -> WriterQos:
+        deadlines = [ns for ns in (self._planned.deadline_ns, self.offer.deadline_ns) if ns]
+        return WriterQos(depth=max(self._planned.depth, self._depth), deadline_ns=min(deadlines, default=0))
+
+    def _create(self, qos: WriterQos) -> RosWriter:
+        return RosWriter(
+            node=self._node,
+            create=partial(self._node.create_publisher, self._msg_type, self._topic, profile_of(self.offer, qos)),
+            event_callbacks=None,
+            is_current=lambda _writer: True,
+            disconnected=lambda: self._lost_to(qos),
+            are_reliable=self._requests.are_reliable,
+        )
+
+    def _lost_to(self, qos: WriterQos) -> list[str]:
+        """Name the readers that hear it and would not hear a writer with this QoS."""
+        return self._requests.lost(offered_ns=self._swap.qos.deadline_ns, offer_ns=qos.deadline_ns)
+
+    def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
+        if result not in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
+            return
+        offered_ns = self._swap.qos.deadline_ns
+        words = swap_failure(self._topic, result, qos, requests=self._requests, offered_ns=offered_ns)
+        if words != self._refusal:
+            self._refusal = words
+            log.warning(words)
+
+
+def profile_of(offer: WriterOffer, qos: WriterQos) -> QoSProfile:
+    """Return the QoS of a writer, with these depth and deadline."""
+    return QoSProfile(
+        depth=qos.depth,
+        **policies_of(is_reliable=offer.is_reliable, is_latched=offer.is_latched),
+        deadline=Duration(nanoseconds=qos.deadline_ns),
+        lifespan=Duration(nanoseconds=offer.lifespan_ns),
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if offer.is_manual else QoSLivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(nanoseconds=offer.lease_ns),
+    )

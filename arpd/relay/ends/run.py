@@ -1,0 +1,136 @@
+"""`arpd relay` with two ends, as a process in two ROS domains."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import secrets
+import time
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from rclpy.experimental import EventsExecutor
+from std_msgs.msg import Empty
+
+from arpd.endpoint.node_publishers import NodePublishers
+from arpd.host.notify import Watchdog
+from arpd.model.errors import RosUnavailableError
+from arpd.relay.ends.end import End
+from arpd.ros.rmw import current_rmw
+from arpd.ros.runtime import (
+    PROFILE_VARIABLES,
+    TWO_ENDED_PROFILE,
+    prepare_environment,
+    ros_node,
+    serve_until,
+    spinning,
+)
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Mapping
+
+    from rclpy.node import Node
+
+    from arpd.host.addresses import Addresses
+    from arpd.host.notify import Notifier
+    from arpd.model.settings import RelaySettings
+    from arpd.ros.rmw import Rmw
+
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 128 * 1024
+
+
+def run_end(
+    settings: RelaySettings,
+    *,
+    is_far: bool,
+    node_name: str,
+    host: str,
+    notifier: Notifier,
+    stopping: threading.Event,
+    addresses: Addresses,
+) -> None:
+    """Run one end until ``stopping`` is set.
+
+    Raises
+    ------
+    LinkError
+        If only a new process can use the link's address.
+    RosUnavailableError
+        If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
+    """
+    prepare_environment(TWO_ENDED_PROFILE)
+    return_large_blocks()
+    with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
+        check_middleware(current_rmw())
+        check_deaf_to_itself(node)
+        executor = EventsExecutor(context=node.context)
+        executor.add_node(node)
+        end = End(
+            node,
+            link_node,
+            settings,
+            is_far=is_far,
+            host=host,
+            session=secrets.randbits(32),
+            on_change=notifier.status,
+        )
+        publishing = NodePublishers.of(link_node).thread
+        parts = [lambda: publishing.finished_s, lambda: end.link.finished_s]
+        parts += [lambda: end.incoming_thread.finished_s, lambda: end.outgoing_thread.finished_s]
+        heartbeat = Watchdog(notifier, parts=parts)
+        notifier.ready()
+        with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
+            try:
+                serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=end.tick)
+            finally:
+                notifier.stopping()
+
+
+def return_large_blocks() -> None:
+    """Let the C library return large blocks to the system when they are free, as glibc's mallopt(3) says.
+
+    By default its threshold grows with the blocks it frees, up to 32 MB: maps that came and went stay in its heaps.
+    """
+    ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+
+
+def check_middleware(rmw: Rmw) -> None:
+    """Refuse a middleware that no profile keeps from hearing itself.
+
+    Raises
+    ------
+    RosUnavailableError
+        If it is not Fast DDS.
+    """
+    if not rmw.can_ignore_itself:
+        raise RosUnavailableError(
+            f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
+            "it, or remove relay.link_domain"
+        )
+
+
+def check_deaf_to_itself(node: Node) -> None:
+    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
+
+    Raises
+    ------
+    RosUnavailableError
+        If endpoints of one participant match each other.
+    """
+    publisher = node.create_publisher(Empty, "~/check", 1)
+    subscription = node.create_subscription(Empty, "~/check", lambda _sample: None, 1)
+    time.sleep(0.1)
+    hears_itself = publisher.get_subscription_count() > 0
+    node.destroy_subscription(subscription)
+    node.destroy_publisher(publisher)
+    if hears_itself:
+        raise RosUnavailableError(
+            "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {profile_variables()}"
+        )
+
+
+def profile_variables(environ: Mapping[str, str] = os.environ) -> str:
+    """Return the variables that choose the profile of this process."""
+    return " and ".join(name for name in PROFILE_VARIABLES if name in environ)

@@ -1,0 +1,116 @@
+"""Classes of messages and services, imported by their ROS names."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+from typing import Any
+
+from rclpy.exceptions import NoTypeSupportImportedException
+from rclpy.type_support import check_for_type_support
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport  # type: ignore[import-untyped]
+
+from arpd.relay.depths import BULK_BYTES, PLAIN_BYTES
+
+_OCTETS = frozenset({"sequence<uint8>", "sequence<int8>", "sequence<octet>"})
+_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
+_ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
+_ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
+
+
+class _TypeSupport(ctypes.Structure):
+    """The beginning of rosidl_message_type_support_t of ROS 2 Jazzy."""
+
+    _fields_ = (
+        ("typesupport_identifier", ctypes.c_char_p),
+        ("data", ctypes.c_void_p),
+        ("func", ctypes.c_void_p),
+        ("get_type_hash_func", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)),
+    )
+
+
+class UnknownTypeError(Exception):
+    """A type that is not installed on this host, or differs here, or whose libraries cannot be loaded."""
+
+
+def message_class(type_name: str) -> Any:
+    """Import a message class: ``sensor_msgs/msg/LaserScan`` or ``nav2_msgs/action/Spin_FeedbackMessage``.
+
+    Raises
+    ------
+    UnknownTypeError
+        If its package is not installed, has no such message, or lacks its libraries.
+    """
+    return _loaded(type_name, _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES))
+
+
+def service_class(type_name: str) -> Any:
+    """Import a service class: ``std_srvs/srv/Trigger`` or ``nav2_msgs/action/Spin_SendGoal``.
+
+    Raises
+    ------
+    UnknownTypeError
+        If its package is not installed, has no such service, or lacks its libraries.
+    """
+    return _loaded(type_name, _import(type_name, folder="srv", of_actions=_ACTION_SERVICES))
+
+
+def definition_hash(kind: Any) -> str:
+    """Return the hash of the definition of a message class that is loaded (REP 2016), as "RIHS01_..."."""
+    pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
+    pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    support = pointer_of(type(kind)._TYPE_SUPPORT, None)  # noqa: SLF001 - where rclpy finds it, too
+    version, *digits = ctypes.string_at(_TypeSupport.from_address(support).get_type_hash_func(support), 33)
+    return f"RIHS{version:02}_{bytes(digits).hex()}"
+
+
+def expected_bytes(kind: Any) -> int:
+    """Return a size that few samples of a message class exceed (bytes); octets are images, clouds and maps."""
+    return PLAIN_BYTES if _OCTETS.isdisjoint(kind.get_fields_and_field_types().values()) else BULK_BYTES
+
+
+def _loaded(type_name: str, kind: Any) -> Any:
+    """Return the class after loading its libraries, which rclpy otherwise does at the first endpoint."""
+    try:
+        check_for_type_support(kind)
+    except (UnsupportedTypeSupport, NoTypeSupportImportedException) as error:
+        raise UnknownTypeError(
+            f"the libraries of {type_name} cannot be loaded; source the setup.bash of their workspace"
+        ) from error
+    return kind
+
+
+def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
+    """Import a class from a folder of its package, or from an action."""
+    match = _NAME.fullmatch(type_name)
+    if match is None:
+        raise UnknownTypeError(f"{type_name!r} is no type of ROS 2")
+    package, kind, name = match.groups()
+    ending = f"_{name.rpartition('_')[2]}"
+    if not _is_generated(package, kind):
+        raise UnknownTypeError(f"{type_name} is not installed here ({package} has no {kind} of ROS)")
+    try:
+        if kind == folder:
+            return getattr(importlib.import_module(f"{package}.{folder}"), name)
+        if kind == "action" and ending in of_actions:
+            action = getattr(importlib.import_module(f"{package}.action"), name.removesuffix(ending))
+            return getattr(action.Impl, of_actions[ending])
+    except (ImportError, AttributeError) as error:
+        raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
+    raise UnknownTypeError(f"{type_name} is no {folder}")
+
+
+def _is_generated(package: str, folder: str) -> bool:
+    """Return whether rosidl made this folder of a package, without importing either.
+
+    The other end names the package, and importing one runs it. Of rosidl's packages it runs nothing but definitions.
+    """
+    spec = importlib.util.find_spec(package)
+    for place in (spec.submodule_search_locations or ()) if spec is not None else ():
+        made = Path(place, folder, "__init__.py")
+        if made.is_file() and f"from {package}.{folder}._" in made.read_text(encoding="utf-8", errors="replace"):
+            return True
+    return False

@@ -1,0 +1,202 @@
+"""What is on its way across the link, as the other end's receipts tell: pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from arpd.relay.envelope import WRAP
+
+_OUT_S = 0.4  # of silence, beyond the usual time of a receipt, while something is on its way
+# Time of the capacity that may be on its way, beyond the fastest receipt of late. More would only wait, and what the
+# socket's buffer does not hold, 50 ms of 20 Mbit/s with Linux' defaults, is lost there.
+_WINDOW_S = 0.03
+_SMALL_WINDOWS = 3.0  # for small messages: what fits the link must not wait for what fills it
+_QUEUED_S = 0.08  # an age that shows a queue on the link; what arrives is then what the link carries
+_STANDING_S = 0.1  # a queue that stays as long as this
+_TARGET_S, _RELIEF_S = 0.01, 0.1  # a queue up to the first may stay; at one longer by the second nothing would leave
+_LEAST_RELIEF, _MOST_RELIEF = 0.5, 1.14  # the second where no queue stands: the headroom is for what nobody sees
+_GROWTH = 1.5  # times the best rate of late: a daemon may believe more than the link carries
+_LEAST_BYTES = 12_000
+_RATE_S, _BEST_S = 0.2, 1.0
+_TRIP_S = 10.0
+_PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows so soon
+_LAZY_S = 0.1  # and one for fewer
+_OFFSET_S = 30.0
+_HALF = WRAP // 2
+
+
+class Receipt(NamedTuple):
+    """What one end has received of the other's chunks, all modulo `WRAP`.
+
+    Parameters
+    ----------
+    session : of the end whose chunks these are, 0 = none has come yet
+    number : highest of the chunks
+    age_us : age of that chunk (µs)
+    received : bytes of all chunks
+    at_us : when, by the receiver's clock (µs)
+    """
+
+    session: int = 0
+    number: int = 0
+    age_us: int = 0
+    received: int = 0
+    at_us: int = 0
+
+
+class _Lowest:
+    """Lowest value of the last ``span_s`` to twice that."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s = span_s
+        self._since_s = -math.inf
+        self._before = self._now = math.inf
+
+    def note(self, value: float, now_s: float) -> float:
+        """Take a value; return the lowest."""
+        if now_s - self._since_s > self._span_s:
+            self._since_s, self._before, self._now = now_s, self._now, math.inf
+        self._now = min(self._now, value)
+        return min(self._before, self._now)
+
+
+class Received:
+    """Keeps account of the other end's chunks, for its receipts."""
+
+    def __init__(self) -> None:
+        self._receipt = Receipt()
+        self._offsets = _Lowest(_OFFSET_S)
+        self._epoch_us = 0
+        self._told = Receipt()
+        self._told_s = -math.inf
+
+    def note(self, session: int, number: int, departed_us: int, size: int, now_s: float) -> float:
+        """Take a chunk; return its age: how much longer than the fastest of late it was on its way (s)."""
+        now_us = int(now_s * 1e6)
+        if session != self._receipt.session:
+            self._receipt, self._offsets = Receipt(session=session), _Lowest(_OFFSET_S)
+            self._told, self._epoch_us = Receipt(session=session), now_us - departed_us
+        # The clocks of the two hosts have nothing in common, so only differences of this difference count.
+        took_us = (now_us - departed_us - self._epoch_us + _HALF) % WRAP - _HALF
+        age_us = took_us - self._offsets.note(took_us, now_s)
+        last = self._receipt
+        is_newer = last.at_us == 0 or 0 < (number - last.number) % WRAP < _HALF
+        self._receipt = Receipt(
+            session=session,
+            number=number if is_newer else last.number,
+            age_us=int(age_us) if is_newer else last.age_us,
+            received=(last.received + size) % WRAP,
+            at_us=now_us % WRAP or 1,
+        )
+        return age_us / 1e6
+
+    def due_s(self) -> float:
+        """Return when to send a receipt (s); ``inf`` when the last one says all."""
+        unsaid = (self._receipt.received - self._told.received) % WRAP
+        if unsaid == 0:
+            return math.inf
+        return self._told_s + (_PROMPT_S if unsaid >= _PROMPT_BYTES else _LAZY_S)
+
+    def take(self, now_s: float) -> Receipt:
+        """Return the receipt, which then counts as sent."""
+        self._told, self._told_s = self._receipt, now_s
+        return self._receipt
+
+
+class _Sent(NamedTuple):
+    number: int
+    size: int
+    at_s: float
+
+
+class Flight:
+    """Bounds what is on its way unconfirmed, and notices when the link is out.
+
+    Attributes
+    ----------
+    capacity : what the link carries, as the daemon says; None = no daemon is heard (bytes/s)
+    """
+
+    def __init__(self) -> None:
+        self.capacity: float | None = None
+        self._sent: deque[_Sent] = deque()
+        self._bytes = 0
+        self._number = 0
+        self._progress_s = -math.inf
+        self._trips = _Lowest(_TRIP_S)
+        self._trip_s = 0.0
+        self._queue_s = self._standing_s = 0.0
+        self._queues = _Lowest(_STANDING_S)
+        self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
+        self._rate = 0.0  # at which chunks arrive (bytes/s)
+        self._bests: deque[tuple[float, float]] = deque()  # time and rate
+
+    def restart(self) -> None:
+        """Forget what was sent to a process that is gone."""
+        self._sent.clear()
+        self._arrivals.clear()
+        self._bytes, self._queue_s, self._rate = 0, 0.0, 0.0
+
+    def send(self, size: int, now_s: float) -> int:
+        """Count a chunk that leaves now; return its number."""
+        self._number = (self._number + 1) % WRAP
+        self._sent.append(_Sent(self._number, size, now_s))
+        self._bytes += size
+        return self._number
+
+    def confirm(self, receipt: Receipt, now_s: float) -> None:
+        """Take a receipt of the other end."""
+        confirmed = None
+        # A chunk that DDS still repeats counts as arrived once a later one has: it takes no room on the link now.
+        while self._sent and (receipt.number - self._sent[0].number) % WRAP < _HALF:
+            confirmed = self._sent.popleft()
+            self._bytes -= confirmed.size
+        if confirmed is None:
+            return
+        self._progress_s = now_s
+        self._queue_s = receipt.age_us / 1e6
+        self._trip_s = self._trips.note(max(0.0, now_s - confirmed.at_s - self._queue_s), now_s)
+        self._standing_s = self._queues.note(self._queue_s, now_s)
+        if self._arrivals and (receipt.received - self._arrivals[-1][1]) % WRAP > _HALF:
+            self._arrivals.clear()  # another receiver counts
+        self._arrivals.append((receipt.at_us, receipt.received))
+        span_us = (receipt.at_us - self._arrivals[0][0]) % WRAP
+        if self._queue_s > _QUEUED_S:
+            self._bests.clear()  # the link carries less than it did
+        if span_us > 2e4:
+            self._rate = (receipt.received - self._arrivals[0][1]) % WRAP / span_us * 1e6
+            self._bests.append((now_s, self._rate))
+        while (receipt.at_us - self._arrivals[0][0]) % WRAP > _RATE_S * 1e6:
+            self._arrivals.popleft()
+        while self._bests and now_s - self._bests[0][0] > _BEST_S:
+            self._bests.popleft()
+
+    @property
+    def relief(self) -> float:
+        """Times its share that the queue drains: less than once while a queue stands on the link."""
+        return min(_MOST_RELIEF, max(_LEAST_RELIEF, 1.0 - (self._standing_s - _TARGET_S) / _RELIEF_S))
+
+    def is_out(self, now_s: float) -> bool:
+        """Return whether the link is out: something is on its way, and no receipt has come for a while."""
+        return now_s >= self.out_s
+
+    @property
+    def out_s(self) -> float:
+        """When the link is out unless a receipt comes before, ``inf`` while nothing is on its way (s)."""
+        return max(self._progress_s, self._sent[0].at_s) + _OUT_S + self._trip_s if self._sent else math.inf
+
+    def has_room(self, *, is_small: bool) -> bool:
+        """Return whether one more chunk may leave; a small message may where a large one has to wait."""
+        return self._bytes < (_SMALL_WINDOWS if is_small else 1.0) * self.window_bytes
+
+    @property
+    def window_bytes(self) -> float:
+        """Most bytes that may be on their way."""
+        rate = _GROWTH * max((rate for _, rate in self._bests), default=0.0)
+        if self.capacity is not None:
+            rate = min(rate, self.capacity)
+        if self._queue_s > _QUEUED_S:
+            rate = min(rate, self._rate)
+        return max(_LEAST_BYTES, (_WINDOW_S + self._trip_s) * rate)

@@ -1,0 +1,65 @@
+"""Sets of samples with one header stamp, which cross the link whole or not at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from arpd.relay.envelope import Record, stamp_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+_MOST_BEGUN = 64  # sets that wait for their last sample
+
+
+class Sets:
+    """Collects the samples of a group of topics into sets.
+
+    A set is complete when each member that is carried has given a sample with its stamp. The samples of one writer
+    arrive in order, so a set that is older than a complete one will never be complete, and is dropped.
+
+    Parameters
+    ----------
+    members : places in the group of the topics that are carried
+    """
+
+    def __init__(self, members: Collection[int]) -> None:
+        self._members = frozenset(members)
+        self._begun: dict[tuple[int, int], dict[int, Record]] = {}
+        self.dropped = 0  # samples of sets that were never complete
+
+    @property
+    def members(self) -> frozenset[int]:
+        """Places in the group of the topics that are carried."""
+        return self._members
+
+    @members.setter
+    def members(self, members: Collection[int]) -> None:
+        self._members = frozenset(members)
+
+    def add(self, record: Record) -> list[Record] | None:
+        """Take a sample; return its set, in the order of the group, once the set is complete.
+
+        Raises
+        ------
+        ValueError
+            If the sample has no header stamp.
+        """
+        if record.member not in self._members:
+            return None
+        stamp = stamp_of(record.sample)
+        begun = self._begun.setdefault(stamp, {})
+        if record.member in begun:
+            self.dropped += 1  # two samples of one topic with one stamp: the newer one belongs to the set
+        begun[record.member] = record
+        if not self._members <= begun.keys():
+            if len(self._begun) > _MOST_BEGUN:
+                self._drop(next(iter(self._begun)))  # the one that was begun first: clocks may go back
+            return None
+        del self._begun[stamp]
+        for older in [other for other in self._begun if other < stamp]:
+            self._drop(older)
+        return [begun[member] for member in sorted(self._members)]
+
+    def _drop(self, stamp: tuple[int, int]) -> None:
+        self.dropped += len(self._begun.pop(stamp))

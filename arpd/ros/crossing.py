@@ -1,0 +1,145 @@
+"""Topics that cross the link, from the hosts of their endpoints, and the nodes that may announce them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.endpoints import Direction
+from arpd.model.names import is_internal
+from arpd.ros.bounds import LEAST_DEADLINE_NS
+from arpd.ros.names import PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+
+    from arpd.ros.graph import Endpoint
+    from arpd.ros.graph_view import GraphView
+    from arpd.ros.rmw import Rmw
+
+_MOST_TOPICS = 3000  # so that a graph full of topics does not take the processor
+_EVERY_NODE_WRITES = ("/parameter_events", "/rosout")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Crossing:
+    """Direction, readers and writers of one topic.
+
+    Parameters
+    ----------
+    direction : a topic with writers on both sides counts as sensing
+    remote_readers : participants across the link from a writer that read it; each receives a unicast copy
+    requests : node and requested deadline of every reader (ns, 0 = infinite)
+    writers : nodes that write it; the empty name is a node whose name is unknown
+    """
+
+    direction: Direction
+    remote_readers: int
+    requests: tuple[tuple[str, int], ...] = ()
+    writers: frozenset[str] = frozenset()
+
+    @property
+    def tightest_request_ns(self) -> int:
+        """Tightest deadline that a reader requests and a writer can keep, 0 = none (ns)."""
+        return min((ns for _, ns in self.requests if ns >= LEAST_DEADLINE_NS), default=0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Graph:
+    """The part of the ROS graph that concerns the daemon, at one moment; at first nothing is known.
+
+    Parameters
+    ----------
+    crossings : every topic of the robot
+    announcers : nodes that may announce publishers; the empty name is an unknown node
+    peers : writers of receiver reports; None = not known
+    remote_participants : processes with ROS nodes on other hosts than the robot; 1 where hosts are unknown
+    """
+
+    crossings: Mapping[str, Crossing] = field(default_factory=dict)
+    announcers: frozenset[str] = frozenset()
+    peers: int | None = None
+    remote_participants: int = 1
+
+    def shows_writer(self, node: str, topic: str) -> bool:
+        """Return whether a node may announce a publisher of the topic, and writes it.
+
+        A writer whose node is unknown may be that of any node that the graph does not name. It stays so where a process
+        returned after an outage that it did not notice: it sees no reason to name its nodes again.
+        """
+        writers = self.crossings[topic].writers if topic in self.crossings else frozenset()
+        if node in writers:
+            return node in self.announcers or "" in self.announcers
+        return node not in self.announcers and "" in self.announcers and "" in writers
+
+    def fields_of(self, _node: str, topic: str) -> Mapping[str, Any]:
+        """Return the fields of a publisher that the graph shows."""
+        if (crossing := self.crossings.get(topic)) is None:
+            return {}
+        return {
+            "direction": crossing.direction,
+            "remote_readers": crossing.remote_readers,
+            "requested_deadline_ns": crossing.tightest_request_ns,
+        }
+
+
+def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Graph:
+    """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
+
+    Parameters
+    ----------
+    first : topics to read first, in case there are too many
+    """
+    robot_host = view.own.host if rmw.tells_hosts else None
+    names = [topic for topic in view.types if not is_internal(topic) and is_full_name(topic)]
+    topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
+    hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
+    return Graph(
+        crossings={
+            topic: crossing(
+                # The daemon's own writer of /diagnostics is no traffic of the robot.
+                writers=[writer for writer in view.writers(topic) if writer.node != view.own.node],
+                readers=view.readers(topic),
+                robot_host=robot_host,
+            )
+            for topic in topics
+        },
+        announcers=_nodes(view.writers(PUBLISHERS_TOPIC)),
+        peers=len(view.writers(REPORT_TOPIC)),
+        remote_participants=1 if robot_host is None else sum(host != robot_host for host in hosts.values()),
+    )
+
+
+def crossing(*, writers: Collection[Endpoint], readers: Collection[Endpoint], robot_host: bytes | None) -> Crossing:
+    """Return the crossing of a topic: pure.
+
+    Parameters
+    ----------
+    robot_host : None where the middleware does not name the hosts of endpoints. A reader in another process than any
+        writer may be across the link then. Such a topic counts as sensing, with one copy: to plan a local topic only
+        gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies that do not exist
+        would take rate from every topic
+    """
+    if robot_host is None:
+        processes = {writer.participant for writer in writers}
+        copies = int(bool(processes) and any(reader.participant not in processes for reader in readers))
+        direction = Direction.SENSING if copies else Direction.LOCAL
+    else:
+        hosts = {writer.host for writer in writers}
+        # With writers on both sides, those of the side with more.
+        copies = max((len({each.participant for each in readers if each.host != host}) for host in hosts), default=0)
+        direction = Direction.LOCAL  # also between two other hosts
+        if copies and robot_host in hosts:
+            direction = Direction.SENSING
+        elif copies and any(reader.host == robot_host for reader in readers):
+            direction = Direction.ACTUATION
+    return Crossing(
+        direction=direction,
+        remote_readers=copies if direction is not Direction.LOCAL else 0,
+        requests=tuple(sorted((reader.node, reader.deadline_ns) for reader in readers)),
+        writers=_nodes(writers),
+    )
+
+
+def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:
+    return frozenset(endpoint.node for endpoint in endpoints)

@@ -1,0 +1,241 @@
+"""`arpd peer`: answers probes on the base computer, and reports what arrives there."""
+
+from __future__ import annotations
+
+import logging
+import math
+import platform
+import threading
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from arpd.estimate.receiver import Receiver, ReportSchedule
+from arpd.host.addresses import Addresses
+from arpd.host.config.domain import local_domain
+from arpd.host.config.load import load_settings
+from arpd.host.interface import InterfaceReader, hardware_address
+from arpd.host.journal import configure_logging
+from arpd.host.notify import Notifier, Watchdog
+from arpd.model.probing import PeerReport
+from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
+from arpd.ros.runtime import control_node, serve_until, stop_on_signals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from arpd.model.interface import LinkCounters
+    from arpd.ros.raw_reader import ReadingThread, Sample
+
+log = logging.getLogger(__name__)
+
+_LONGEST_S = 59.0  # covered by one report
+_QUIET_S = 5.0  # a daemon sends several probes in this time, in an outage too
+
+
+class Peer:
+    """Takes probes, and sends reports; `serving` reads for it.
+
+    While the interface is gone a report has no byte counts; delays and trains that arrived another way are reported.
+
+    Parameters
+    ----------
+    publish : sends an encoded report
+    reader : reads the link interface of this host
+    name : name of the peer in its reports
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        publish: Callable[[Any], None],
+        *,
+        reader: InterfaceReader,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        from arpd.ros import probe_messages, raw_reader  # noqa: PLC0415 - ROS is checked in control_node
+
+        self._octets = raw_reader.octets
+        self._messages = probe_messages
+        self._publish = publish
+        self._reader = reader
+        self._name = name
+        self._clock = clock
+        self._receiver = Receiver()
+        self._schedule = ReportSchedule(clock())
+        self._counters = reader.read()
+        self._due_s = self._schedule.look_s
+        self.probed_s = -math.inf  # when the last probe arrived
+
+    def hear(self, sample: Sample) -> None:
+        """Take a probe."""
+        try:
+            packet = self._octets(sample.data)
+            header = self._messages.decode_probe(packet)
+        except ValueError as fault:
+            log.debug("ignored a probe: %s", fault)
+            return
+        self.probed_s = self._clock()
+        self._receiver.on_probe(
+            train=header.train,
+            index=header.index,
+            packets=header.packets,
+            payload_bytes=len(packet),
+            sent_ns=sample.sent_ns,
+            received_ns=sample.received_ns,
+        )
+        self._schedule.note_probe(packets=header.packets, quiet_s=header.quiet_s)
+        self._due_s = min(self._due_s, self._schedule.due_s)
+
+    def step(self) -> float:
+        """Send a report if one is due; return when to call again at the latest (s)."""
+        if self._clock() >= self._due_s:
+            self._look()
+        return self._due_s
+
+    def _look(self) -> None:
+        schedule, before = self._schedule, self._counters
+        after = self._reader.read() or before
+        grown = after.rx_bytes - before.rx_bytes if after and before else 0
+        schedule.note_traffic(grown)
+        if self._clock() < schedule.due_s:
+            self._due_s = schedule.due_s
+            return
+        self._send(before, after)
+        self._due_s = schedule.look_s
+
+    def _send(self, before: LinkCounters | None, after: LinkCounters | None) -> None:
+        now_s = self._clock()
+        interval_s = now_s - self._schedule.sent_at_s
+        self._counters = after
+        delays_s, trains = self._receiver.take()
+        if interval_s > 0:
+            self._publish(
+                self._messages.encode_report(
+                    PeerReport(
+                        peer=self._name,
+                        received_at_s=now_s,
+                        interval_s=min(interval_s, _LONGEST_S),
+                        rx_bytes=after.rx_bytes - before.rx_bytes if after and before else 0,
+                        rx_packets=after.rx_packets - before.rx_packets if after and before else 0,
+                        delays_s=delays_s,
+                        trains=trains,
+                        last_probe=self._receiver.last_probe,
+                        probe_packets=self._receiver.packets_before,
+                    )
+                )
+            )
+        self._schedule.note_sent(now_s)
+
+
+@contextmanager
+def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[Peer, ReadingThread]]:
+    """Run a peer in a node, in a thread of its own; nobody needs to spin the node."""
+    from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in control_node
+    from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
+
+    from arpd.ros.probe_messages import MOST_PROBE_BYTES  # noqa: PLC0415
+    from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread  # noqa: PLC0415
+
+    best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
+    peer = Peer(reports.publish, reader=reader, name=name)
+    thread = ReadingThread(step=peer.step, rest_s=REST_S)
+    probes = RawReader(
+        node,
+        UInt8MultiArray,
+        PROBE_TOPIC,
+        best_effort,
+        deliver=peer.hear,
+        thread=thread,
+        most_bytes=MOST_PROBE_BYTES,
+        refuse=lambda: log.debug("ignored a message that is longer than any probe"),
+    )
+    try:
+        yield peer, thread
+    finally:
+        probes.destroy()
+        thread.stop()
+
+
+class ProbeStatus:
+    """Status line of a peer for `systemctl status`: whether a daemon's probes arrive, and since when.
+
+    Parameters
+    ----------
+    task : task of the peer, in words
+    tell : called with the line at the start and whenever it changes
+    wall_clock : returns the time of day, in words
+    """
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        tell: Callable[[str], None],
+        wall_clock: Callable[[], str] = lambda: time.strftime("%Y-%m-%d %H:%M:%S"),
+    ) -> None:
+        self._task = task
+        self._tell = tell
+        self._wall_clock = wall_clock
+        self._has_probes = False
+        tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
+
+    def update(self, *, probed_s: float, now_s: float) -> None:
+        """Update the line from the time of the last probe (s)."""
+        if (has_probes := now_s - probed_s < _QUIET_S) == self._has_probes:
+            return
+        self._has_probes = has_probes
+        self._tell(f"{self._task}; {'probes arrive' if has_probes else 'no probes'} since {self._wall_clock()}")
+
+
+def default_name(interface: str) -> str:
+    """Return a name that no other peer has: the host name, and the end of the interface's Ethernet address.
+
+    Cloned computers have the same host name and machine id, but different addresses. The name is the same after a
+    restart of the peer, so the daemon recognises it.
+    """
+    return "-".join(part for part in (platform.node(), hardware_address(interface)[-4:]) if part) or "peer"
+
+
+def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_level: str) -> int:
+    """Run the peer until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    interface : link interface on this host, or ``auto``
+    name : name of the peer in its reports; `default_name` when None
+    config_path : YAML configuration, for the link domain of a relay with two ends; None = there is none
+
+    Raises
+    ------
+    ConfigError
+        If the configuration has faults.
+    LinkError
+        If only a new process can use the link's address.
+    """
+    configure_logging(log_level, name="arpd-peer")
+    link = None
+    if config_path is not None:
+        link = load_settings(config_path, interfaces=None, local_domain=local_domain()).relay.link(is_far=True)
+    stopping = threading.Event()
+    stop_on_signals(stopping)
+    notifier = Notifier()
+    reader = InterfaceReader(interface)
+    reader.read()  # finds the interface for ``auto``
+    name = name or default_name(reader.name)
+    addresses = Addresses(lambda: reader.name)
+    with control_node("arpd_peer", link) as node, serving(node, reader=reader, name=name) as (peer, thread):
+        log.info("reporting what arrives on %s as %s", reader.name, name)
+        notifier.ready()
+        status = ProbeStatus(f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
+        serve_until(
+            stopping,
+            heartbeat=Watchdog(notifier, parts=[lambda: thread.finished_s]),
+            addresses=addresses,
+            step=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
+        )
+        notifier.stopping()
+    return 0

@@ -1,0 +1,115 @@
+"""The plan on its way to the nodes: one message for all, sent again until their snapshots show it."""
+
+from __future__ import annotations
+
+import logging
+import math
+from array import array
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.model.plan import NO_PLAN
+from arpd.ros.daemon_messages import plan_qos
+from arpd.ros.events import no_publisher_events
+from arpd.ros.names import PLAN_TOPIC
+from arpd.ros.plan_message import encode_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from arpd.model.plan import PlanAnswer, QosPlan
+
+log = logging.getLogger(__name__)
+
+# The middleware repeats what is lost, so a message is sent again mostly for a swap that failed: after the three to four
+# seconds that a swap takes, and its snapshot.
+_AGAIN_S, _MOST_AGAIN_S = 6.0, 12.0
+_LEAST_S = 0.2  # between two messages
+
+
+class PlanSender:
+    """Sends the plan when it is new, and while nodes do not show it, after a growing time.
+
+    A node that starts later finds the last plan, which the writer keeps.
+
+    Parameters
+    ----------
+    node : rclpy node of the writer
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._ros = node
+        self._writer: Any = None
+        self._sent: tuple[QosPlan, float] | None = None  # with its lease
+        self._sent_s = -math.inf
+        self._again_s = _AGAIN_S
+        self._awaited: set[str] = set()  # nodes that owe an answer
+        self._results: Counter[str] = Counter()
+
+    @property
+    def results(self) -> Mapping[str, int]:
+        """Answers of nodes so far, by result: ``ok``, ``refused``, ``timeout``."""
+        return dict(self._results)
+
+    def apply(
+        self,
+        plan: QosPlan,
+        *,
+        lease_s: float,
+        missing: Collection[str],
+        answers: Mapping[str, PlanAnswer],
+        now_s: float,
+    ) -> None:
+        """Send the plan if it is new or due again; returns at once.
+
+        Parameters
+        ----------
+        lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
+        missing : nodes that do not show the plan yet
+        answers : last answers of all nodes
+        """
+        self._read(answers)
+        if not missing:
+            return
+        is_new = self._sent is None or (plan.generation, plan.topics, lease_s) != (
+            self._sent[0].generation,
+            self._sent[0].topics,
+            self._sent[1],
+        )
+        if now_s - self._sent_s < (_LEAST_S if is_new else self._again_s):
+            return
+        if not is_new and (silent := sorted(self._awaited)):
+            self._results["timeout"] += len(silent)
+            log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
+        self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
+        self._sent, self._sent_s, self._awaited = (plan, lease_s), now_s, set(missing)
+        if self._writer is None:
+            self._writer = self._ros.create_publisher(
+                UInt8MultiArray, PLAN_TOPIC, plan_qos(), event_callbacks=no_publisher_events()
+            )
+        message = encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)
+        self._writer.publish(UInt8MultiArray(data=array("B", message)))
+
+    def forget(self) -> None:
+        """Take the plan back: its writer goes, with what it kept for nodes that start later."""
+        if self._writer is not None:
+            self._ros.destroy_publisher(self._writer)
+        self._writer = self._sent = None
+        self._awaited.clear()
+
+    def _read(self, answers: Mapping[str, PlanAnswer]) -> None:
+        if self._sent is None:
+            return
+        generation = self._sent[0].generation
+        for node in tuple(self._awaited):
+            answer = answers.get(node, NO_PLAN)
+            if answer.refusal and answer.refused == generation:
+                self._results["refused"] += 1
+                log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
+            elif answer.generation == generation:
+                self._results["ok"] += 1
+            else:
+                continue
+            self._awaited.discard(node)

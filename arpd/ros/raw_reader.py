@@ -1,0 +1,326 @@
+"""Serialized samples with the identity of their writer, taken in a thread of their own: arpd's only inlet.
+
+rclpy's MessageInfo does not name the writer of a sample (7.1.6), and without it several writers of one topic cannot be
+told apart. So a sample is taken from rcl, through ctypes; the reader itself is rclpy's.
+
+The middleware announces new samples in a thread of its own, under its locks. A Python function called there would wait
+for the interpreter, and so for a thread that holds it and waits for those locks: measured, the process stands still. So
+the function called there is eventfd_write of the C library, which takes the same arguments: a number and a count.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import math
+import os
+import select
+import struct
+import sys
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.type_support import check_for_type_support
+
+from arpd.ros.attached import attached
+from arpd.ros.events import InvalidHandle
+from arpd.ros.rcl import MessageInfo, rcl
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+
+log = logging.getLogger(__name__)
+_LEAST_BYTES = 4  # the header of every serialized message
+_NOBODY = bytes(16)
+_MOST_REPEATS = 100
+_MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
+_TURN_S = 1.0  # longest wait for a sample
+_LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made where twice the bytes would be held
+_NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
+REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
+_FLOOD_S = 3.0
+
+_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
+
+
+class Sample(NamedTuple):
+    """One sample, serialized, with the GUID of its writer, its number there, and when it left and arrived (Unix, ns).
+
+    The middleware's own thread notes the arrival, so a sample that waits for its reader is not late.
+    """
+
+    data: bytes
+    writer: bytes
+    sequence: int
+    sent_ns: int = 0
+    received_ns: int = 0
+
+
+class ReadingThread:
+    """Takes the samples of any number of `RawReader`; their functions are called in this thread.
+
+    Parameters
+    ----------
+    step : called after every turn; returns when to call it again at the latest, by the clock (s)
+    rest_s : rest after every turn, in which more samples come together (s)
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        *,
+        step: Callable[[], float] = lambda: math.inf,
+        rest_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._step = step
+        self._rest_s = rest_s
+        self._clock = clock
+        # When it last finished a sample or a wait. A function may write, and a write onto a full link blocks for long,
+        # so the watchdog's time runs for one sample alone.
+        self.finished_s = clock()
+        self._rcl = rcl()
+        self._buffer, self._info = self._rcl.buffer(), MessageInfo()
+        self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
+        self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
+        self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
+        self._events = select.epoll()
+        self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._events.register(self._stop, select.EPOLLIN)
+        self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def of(cls, context: Context) -> ReadingThread:
+        """Return the thread that reads arpd's messages in a participant, made on first use; it ends with it."""
+
+        def make() -> ReadingThread:
+            thread = cls(rest_s=REST_S)
+            context.on_shutdown(thread.stop)
+            return thread
+
+        return attached(context, cls, make)
+
+    def stop(self) -> None:
+        """End the thread; samples that wait are dropped. It may have ended already."""
+        if self._events.closed:
+            return
+        os.eventfd_write(self._stop, 1)
+        self._thread.join(timeout=2.0)
+        self._close_retired()
+        self._events.close()
+        os.close(self._stop)
+
+    def watch(self, reader: RawReader) -> int:
+        """Read from a reader from now on; return its event, for `unwatch`."""
+        event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._readers[event] = reader
+        self._events.register(event, select.EPOLLIN)
+        with reader.handle:
+            self._rcl.notify_reader(reader.handle.pointer, self._rcl.eventfd_write, event)
+        return event
+
+    def unwatch(self, reader: RawReader, event: int) -> None:
+        """Read it no more; something may still be delivered meanwhile."""
+        with reader.handle:
+            self._rcl.notify_reader(reader.handle.pointer, None, None)
+        del self._readers[event]
+        if self._events.closed:
+            os.close(event)
+            return
+        self._events.unregister(event)
+        # Closed here, its number could be a socket's before the thread reads it, and the thread would wait there.
+        self._retired.append(event)
+
+    def take(self, handle: Any) -> Sample | None:
+        """Take a sample of a subscription, None if there is none; only for this thread."""
+        with handle:
+            result = self._rcl.take(handle.pointer, *self._arguments, None)
+        if result != 0:
+            if result != _NOTHING:
+                self._rcl.forget_error()
+            return None
+        info, buffer = self._info, self._buffer
+        return Sample(
+            ctypes.string_at(buffer.buffer, buffer.length),
+            bytes(info.publisher_gid),
+            info.publication_sequence_number,
+            info.source_timestamp,
+            info.received_timestamp,
+        )
+
+    def note_finished(self) -> float:
+        """Note that something has been delivered, and return the time (s); only for this thread."""
+        self.finished_s = self._clock()
+        return self.finished_s
+
+    def _close_retired(self) -> None:
+        while self._retired:
+            os.close(self._retired.popleft())
+
+    def _run(self) -> None:
+        unfinished: set[int] = set()  # readers with more than one turn takes
+        while True:
+            self._close_retired()
+            wait_s = min(_TURN_S, self._step_now() - self._clock())
+            ready = {event for event, _ in self._events.poll(0 if unfinished else max(0.0, wait_s))}
+            self.note_finished()
+            if self._stop in ready:
+                return
+            for event in ready | unfinished:
+                unfinished.discard(event)
+                reader = self._readers.get(event)
+                try:
+                    if event in ready:
+                        os.eventfd_read(event)  # first: later samples set it again
+                    if reader is not None and not reader.read():
+                        unfinished.add(event)
+                        reader.flooded_until_s = self.finished_s + _FLOOD_S
+                except (InvalidHandle, OSError):
+                    continue  # just destroyed
+                except Exception:
+                    log.exception("a sample of %s failed; the next one follows", reader.name if reader else "a topic")
+                    unfinished.add(event)
+            if ready and self._rest_s:
+                time.sleep(self._rest_s)
+
+    def _step_now(self) -> float:
+        try:
+            return self._step()
+        except Exception:
+            log.exception("a step between samples failed; the next one follows")
+            return math.inf
+
+
+class RawReader:
+    """A reader of one topic whose samples a `ReadingThread` takes.
+
+    Parameters
+    ----------
+    node : node it belongs to
+    msg_type : message class; no message is decoded
+    topic : fully qualified topic name
+    qos : its QoS
+    deliver : called with every sample, in the thread
+    thread : takes the samples
+    most_held_bytes : what may wait for the thread; a reader whose samples are too large for that gets a smaller depth
+    most_bytes : size above which a sample is refused, undecoded
+    refuse : called instead when a sample is too long
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        *,
+        deliver: Callable[[Sample], None],
+        thread: ReadingThread,
+        most_held_bytes: int | None = None,
+        most_bytes: int = sys.maxsize,
+        refuse: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.name, self._thread = topic, thread
+        self.flooded_until_s = -math.inf  # before, more wait than one turn takes, or just did: some may be lost
+        self._deliver, self._refuse = deliver, refuse
+        self._node, self._msg_type, self._qos = node, msg_type, qos
+        self._most_held_bytes, self._most_bytes = most_held_bytes, most_bytes
+        self._lock = threading.Lock()
+        self._is_destroyed = False
+        self._last = (b"", 0, 0)  # writer and number of the newest sample, and when it left
+        self._repeats = 0
+        check_for_type_support(msg_type)
+        self._make()
+
+    def destroy(self) -> None:
+        """Destroy the reader; a sample may still be delivered while this is called."""
+        with self._lock:
+            self._is_destroyed = True
+            self._close()
+
+    def _is_new(self, sample: Sample) -> bool:
+        """Return whether this is a sample, and another one than the last.
+
+        Seen once, in a bench that kills the writers of large samples on a lossy link: Fast DDS gave 1.6 million samples
+        of /points that were none, as fast as they were taken.
+        """
+        identity = sample.writer, sample.sequence, sample.sent_ns  # not every middleware numbers samples
+        if sample.writer == _NOBODY or identity == self._last:
+            self._repeats += 1
+            return False
+        self._last, self._repeats = identity, 0
+        return len(sample.data) >= _LEAST_BYTES
+
+    def read(self) -> bool:
+        """Take and deliver some samples; return whether that was all."""
+        thread = self._thread
+        for _ in range(_MOST_AT_ONCE):
+            if (sample := thread.take(self.handle)) is None:
+                return True
+            if self._is_new(sample):
+                if len(sample.data) > self._most_bytes:
+                    self._refuse()
+                else:
+                    self._deliver(sample)
+                if not self._has_room_for(sample):
+                    return True
+            elif self._repeats > _MOST_REPEATS:
+                log.warning("%s gives one sample again and again; a new reader takes its place", self.name)
+                self._repeats = 0
+                self._begin_again()
+                return True
+            thread.note_finished()
+        return False
+
+    def _has_room_for(self, sample: Sample) -> bool:
+        """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one."""
+        depth, most_bytes = self._qos.depth, self._most_held_bytes
+        if most_bytes is None or depth <= _LEAST_DEPTH or len(sample.data) * depth <= _ROOM * most_bytes:
+            return True
+        self._qos.depth = max(_LEAST_DEPTH, most_bytes // len(sample.data))
+        self._begin_again()
+        return False
+
+    def _begin_again(self) -> None:
+        with self._lock:
+            if not self._is_destroyed:
+                self._close()
+                self._make()
+
+    def _close(self) -> None:
+        self._thread.unwatch(self, self._event)
+        self.handle.destroy_when_not_in_use()
+
+    def _make(self) -> None:
+        with self._node.handle:
+            # Not by Node.create_subscription: an executor would take the samples.
+            self.handle = rclpy_implementation.Subscription(
+                self._node.handle, self._msg_type, self.name, self._qos.get_c_qos_profile()
+            )
+        self._event = self._thread.watch(self)
+
+
+def octets(data: bytes) -> bytes:
+    """Return the content of a serialized UInt8MultiArray without dimensions; arpd's have none.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no such array.
+    """
+    try:
+        dimensions, _offset, size = struct.unpack_from(_ORDER[data[1]] + "III", data, 4)
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("no UInt8MultiArray") from fault
+    held = data[16 : 16 + size]
+    if dimensions or len(held) != size:
+        raise ValueError("a UInt8MultiArray with dimensions, or cut off")
+    return held

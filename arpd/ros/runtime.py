@@ -1,0 +1,222 @@
+"""Start rclpy in arpd's own processes, and serve until a signal."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import signal
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.errors import GET_ROS, RosUnavailableError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, MutableMapping
+
+    from arpd.host.addresses import Addresses
+    from arpd.host.notify import Watchdog
+    from arpd.model.settings import LinkDomain
+
+log = logging.getLogger(__name__)
+_TURN_S = 0.1
+FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+_SERVER = "ROS_DISCOVERY_SERVER"
+TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
+
+
+def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
+    """Give Fast DDS arpd's profile (short heartbeats), unless the user has chosen another one than arpd's."""
+    chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
+    if all(_is_ours(Path(path)) for path in chosen):
+        for name in PROFILE_VARIABLES:
+            environment.pop(name, None)
+        environment[PROFILE_VARIABLES[0]] = str(profile)
+    if profile == TWO_ENDED_PROFILE:
+        # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def _is_ours(path: Path) -> bool:
+    """Return whether this is arpd's profile for the user's nodes, which an environment for everything may name."""
+    try:
+        return path.read_bytes() == FASTDDS_PROFILE.read_bytes()
+    except OSError:
+        return False
+
+
+@contextmanager
+def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
+    """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
+
+    It has none of a node's usual services, of parameters and type descriptions, because nobody spins it.
+
+    Parameters
+    ----------
+    name : its name
+    link : domain that it joins; the host's own domain when None
+    context : rclpy context to start for it; None = the process's own, for a link a new one
+
+    Raises
+    ------
+    RosUnavailableError
+        If ROS 2 cannot be imported here, or does not start.
+    """
+    prepare_environment(FASTDDS_PROFILE if link is None else TWO_ENDED_PROFILE)
+    try:
+        import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
+        from rclpy.parameter import Parameter  # noqa: PLC0415
+        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    except ImportError as error:
+        raise RosUnavailableError(f"ROS 2 cannot be imported ({error}); {GET_ROS}") from error
+    context = context or (rclpy.get_default_context() if link is None else rclpy.Context())
+    try:
+        with _discovery(link):
+            domain_id = None if link is None else link.domain_id
+            rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+            node = rclpy.create_node(
+                name,
+                context=context,
+                enable_rosout=link is None,  # nobody reads it on the link
+                start_parameter_services=False,
+                parameter_overrides=[Parameter("start_type_description_service", value=False)],
+            )
+    except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
+        rclpy.try_shutdown(context=context)
+        raise RosUnavailableError(
+            f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
+        ) from error
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+@contextmanager
+def control_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
+    """Run a node as `ros_node` does, with writes that never wait for the link (`send_without_waiting`)."""
+    send_without_waiting()
+    with ros_node(name, link) as node:
+        yield node
+
+
+@contextmanager
+def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
+    """Let a context whose first node is made meanwhile look for others at known addresses, and never wait for a write.
+
+    With a list of peers Fast DDS announces a participant to those, at the first four ports of the domain, and once more
+    by multicast. LOCALHOST would announce it at 32 ports of each (rmw_fastrtps, participant.cpp), every three seconds.
+
+    Written without waiting (`send_without_waiting`), a full link delays neither acknowledgements nor signs of life; the
+    reliable protocol sends again what the socket did not take. rcl reads its variables at each initialisation, Fast DDS
+    its own with each participant, which the first node makes.
+    """
+    if link is None:
+        yield
+        return
+    peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
+    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": peers}
+    before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
+    environment.update(own)
+    environment.pop(_SERVER, None)  # the robot's discovery server is in its own domain, and knows nothing of the link
+    send_without_waiting(environment)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                environment.pop(name, None)
+            else:
+                environment[name] = value
+
+
+@contextmanager
+def spinning(executor: Any) -> Iterator[None]:
+    """Spin an executor in a thread of its own, past callbacks that fail; leaving the block ends the thread."""
+    stopping = threading.Event()
+
+    def spin() -> None:
+        while not stopping.is_set():
+            try:
+                executor.spin_once(timeout_sec=0.2)  # spin() of EventsExecutor would busy-loop in rclpy 7.1.6
+            except Exception:
+                if not stopping.is_set():
+                    log.exception("a callback failed; the node continues")
+
+    thread = threading.Thread(target=spin, name="arpd-ros", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        executor.wake()
+        thread.join(timeout=2.0)
+        executor.shutdown(timeout_sec=1.0)
+
+
+def serve_until(
+    stopping: threading.Event,
+    *,
+    heartbeat: Watchdog,
+    addresses: Addresses,
+    step: Callable[[], None] = lambda: None,
+    every_s: float = _TURN_S,
+) -> None:
+    """Run a service in this thread, with a watchdog, until ``stopping`` is set.
+
+    Parameters
+    ----------
+    step : called again and again; where it fails, the watchdog is not fed
+    every_s : time between two calls, a tenth of a second or more (s)
+
+    Raises
+    ------
+    LinkError
+        If only a new process can use the link's address.
+    """
+    due_s = -math.inf
+    while not stopping.is_set():
+        if (now_s := time.monotonic()) >= due_s:
+            due_s = now_s + every_s
+            try:
+                step()
+                heartbeat.beat()
+            except Exception:
+                log.exception("a step failed; the service continues")
+        if addresses.are_outdated():
+            raise addresses.error()
+        time.sleep(_TURN_S)  # Event.wait could hold the lock that the handler of a signal needs
+
+
+def stop_on_signals(stopping: threading.Event) -> None:
+    """Let SIGINT and SIGTERM set ``stopping``, and ignore SIGHUP."""
+
+    def handle(_signum: int, _frame: Any) -> None:
+        stopping.set()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
+def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Let Fast DDS drop samples that the socket does not take, in this process, unless its options are set already.
+
+    Fast DDS writes to a blocking socket. When a link stops but keeps its carrier, its queue fills, then the socket's
+    buffer, and the next write to a far reader blocks until the link recovers. In `arpd run` that write blocks the tick,
+    and the publishers on this host receive no price. Measured on such a link with 40 kB/s of probes: the ticks stopped
+    after 3 s and continued with the link. Without waiting, a write took 0.2 ms, and the price kept arriving through
+    shared memory. (With UDP alone one socket serves near and far readers: the ticks continue, and the price
+    arrives again with the link.) The dropped samples are best effort, or are repeated.
+
+    Nodes of the application do not use this: a write that blocks tells them that the link is full.
+    """
+    chosen = environment.get(_VARIABLE) or "DEFAULT"
+    if "?" not in chosen:
+        environment[_VARIABLE] = f"{chosen}?non_blocking=true"

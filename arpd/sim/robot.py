@@ -1,0 +1,292 @@
+"""A robot in virtual time: topics, sources, and publishers with arpd's own pacing and writer swap."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from arpd.endpoint.flow import Flow
+from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.model.endpoints import Direction, PublisherState, WriterQos
+from arpd.model.settings import Overflow
+from arpd.sim.arrivals import Arrivals
+from arpd.sim.result import TopicResult
+from arpd.sim.socket import Socket
+from arpd.sim.timeline import Alarm
+from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.solve.topics import assumed_traffic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+    from random import Random
+
+    from arpd.endpoint.lane import Lane
+    from arpd.model.endpoints import FlowState
+    from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
+    from arpd.model.settings import Settings
+    from arpd.sim.socket import Carrier
+    from arpd.sim.timeline import Timeline
+
+RCLPY_DEPTH = 10  # the depth in every rclpy tutorial
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SimTopic:
+    """One topic of the robot.
+
+    Parameters
+    ----------
+    name : the application's name for it
+    payload_bytes : serialized size of a sample (bytes)
+    rate_hz : rate at which the application publishes (Hz)
+    direction : sensing, actuation, or local: its only reader is on the robot
+    prefix : the relay carries it as ``prefix + name``; empty if its own publisher is adaptive
+    """
+
+    name: str
+    payload_bytes: int
+    rate_hz: float
+    direction: Direction = Direction.SENSING
+    prefix: str = ""
+
+    def announced(self, *, node: str, name: str, depth: int) -> PublisherState:
+        """Return what a publisher of the topic announces before its first sample.
+
+        Parameters
+        ----------
+        node, name : of the publisher; its name on the link
+        depth : its own (samples)
+        """
+        return PublisherState(
+            node=node,
+            topic=name,
+            type_name="sim",
+            direction=self.direction,
+            payload_bytes=0.0,
+            source_rate_hz=0.0,
+            depth=depth,
+            baseline_depth=depth,
+            remote_readers=int(self.direction is not Direction.LOCAL),
+        )
+
+    def result(self, flow: FlowState, arrivals: Arrivals, *, expected: int) -> TopicResult:
+        """Return the result of a run.
+
+        Parameters
+        ----------
+        flow : of its publisher
+        arrivals : at its reader
+        expected : samples that the application would have published if nothing had blocked it
+        """
+        return TopicResult(
+            topic=self.name,
+            source_rate_hz=self.rate_hz,
+            expected=expected,
+            offered=flow.offered,
+            withheld=flow.withheld,
+            sent=flow.published,
+            **asdict(arrivals.reception()),
+        )
+
+
+def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:
+    """Return the topics whose traffic a configuration describes.
+
+    Parameters
+    ----------
+    settings : the configuration
+    actuation : names of the actuation topics, which the configuration does not tell
+    """
+    prefix = settings.relay.link_prefix
+    relayed = {prefix + name: name for name in settings.relay.topics}
+    return tuple(
+        SimTopic(
+            name=relayed.get(each.topic, each.topic),
+            payload_bytes=max(1, round(each.payload_bytes)),
+            rate_hz=each.source_rate_hz,
+            direction=Direction.ACTUATION if each.topic in actuation else Direction.SENSING,
+            prefix=prefix if each.topic in relayed else "",
+        )
+        for each in assumed_traffic(settings)
+        if each.source_rate_hz > 0
+    )
+
+
+class SimulatedThread:
+    """The thread of a participant, with its paced queue."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._queue = PacedQueue(Whole())
+        self._alarm = Alarm(timeline, self.run)
+
+    def add(self, lane: Lane) -> None:
+        """Serve a lane from now on."""
+        self._queue.add(lane)
+
+    def offer(self, lane: Lane, sample: bytes) -> None:
+        """Let a sample wait for its turn, which may be now."""
+        self._queue.offer(lane, sample, self._timeline.now_s)
+        self.run()
+
+    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = there is none."""
+        self._queue.retune(lane, plan, price)
+        self.run()
+
+    def run(self) -> None:
+        """Write what may leave."""
+        now_s = self._timeline.now_s
+        while (ready := self._queue.take(now_s)) is not None:
+            ready.lane.write(ready.sample)
+        if (due_s := self._queue.due_s(now_s)) < self._alarm.when_s:
+            self._alarm.set(due_s)
+
+
+class SimulatedPublisher:
+    """An AdaptivePublisher over a simulated writer, with the same queue and writer swap.
+
+    Before the first `retune` it behaves as a plain rclpy publisher.
+
+    Parameters
+    ----------
+    topic : the topic
+    there, back : ways of its samples, and of their acknowledgements
+    room_bytes : most that its socket has in the queue of the interface (bytes)
+    name : topic name on the link
+    node : name of its node
+    heartbeat_s : heartbeat period of its writers (s)
+    ingress_s : age of a sample when it gets here, after the hop to the relay (s)
+    thread : of its participant
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        topic: SimTopic,
+        *,
+        there: Carrier,
+        back: Carrier,
+        room_bytes: float,
+        name: str,
+        node: str,
+        heartbeat_s: float,
+        ingress_s: float = 0.0,
+        thread: SimulatedThread,
+    ) -> None:
+        self.topic = topic
+        self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
+        self.arrivals = Arrivals()
+        self._writers = 0
+        self._timeline = timeline
+        self._socket = Socket(timeline, there, room_bytes=room_bytes, on_free=self._free)
+        route = LinkPath(timeline=timeline, there=there, back=back, socket=self._socket)
+        self._is_relayed = ingress_s > 0.0
+        self._ticks = 0  # of the application's timer
+        self._node = node
+        self._ingress_s = ingress_s
+        self._flow = Flow(
+            create=partial(self._create, route, heartbeat_s),
+            qos=WriterQos(depth=RCLPY_DEPTH, deadline_ns=0),
+            overflow=Overflow.LATEST,
+            clock=lambda: timeline.now_s,
+            on_held=self._service,
+        )
+        self._flow.lane.write = self._write
+        self._thread = thread
+        self._price: Price | None = None
+        thread.add(self._flow.lane)
+        self._alarm = Alarm(timeline, self._service)
+        self._state = topic.announced(node=node, name=name, depth=RCLPY_DEPTH)
+
+    def publish(self) -> None:
+        """Publish the next sample of the source, unless it is still inside the call before."""
+        self._ticks += 1
+        if self._socket.is_full and not self._is_relayed:
+            return
+        number = self._flow.lane.offered_rate.samples
+        token = SAMPLE.pack(number, self._timeline.now_s - self._ingress_s)
+        self._thread.offer(self._flow.lane, token + self._padding)
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take a plan: pacing changes now, depth and deadline with a writer swap."""
+        self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self._thread.retune(self._flow.lane, plan, self._price)
+        self._service()
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link; None = no daemon is heard."""
+        self._price = price
+        self._flow.set_loss(None if price is None else price.loss_ratio)
+        self._thread.retune(self._flow.lane, self._flow.plan, price)
+
+    @property
+    def swaps(self) -> int:
+        """Writer swaps begun since the start."""
+        return self._writers - 1
+
+    def state(self, *, generation: int) -> PublisherState:
+        """Return the state to announce."""
+        return replace(self._state, generation=generation, **self._flow.state().counted())
+
+    def result(self) -> TopicResult:
+        """Return the result of the run."""
+        return self.topic.result(self._flow.state(), self.arrivals, expected=self._ticks)
+
+    def _write(self, sample: bytes) -> None:
+        self._flow.write(sample)
+        if self._socket.is_full:
+            self._flow.lane.claimant = 1  # the thread is inside the call
+
+    def _free(self) -> None:
+        self._flow.lane.claimant = None
+        self._service()
+        self._thread.run()
+
+    def _create(self, route: LinkPath, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
+        self._writers += 1
+        sink = Counting(self.arrivals, self._timeline, self.topic.payload_bytes)
+        return SimulatedWriter(route, sink, qos=qos, heartbeat_s=heartbeat_s)
+
+    def _service(self) -> None:
+        if self._socket.is_full:
+            return
+        due_s = self._flow.service(self._timeline.now_s)
+        if due_s < self._alarm.when_s:
+            self._alarm.set(due_s)
+
+
+class SampleSource:
+    """A timer that publishes from ``start_s`` to ``end_s``, with the jitter of an executor.
+
+    Parameters
+    ----------
+    publish : called at every period
+    random : source of phase and jitter
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        publish: Callable[[], None],
+        *,
+        rate_hz: float,
+        start_s: float,
+        end_s: float,
+        random: Random,
+    ) -> None:
+        self._timeline = timeline
+        self._publish = publish
+        self._period_s = 1.0 / rate_hz
+        self._end_s = end_s
+        self._random = random
+        self._due_s = start_s + random.random() * self._period_s
+        timeline.at(self._due_s, self._fire)
+
+    def _fire(self) -> None:
+        self._publish()
+        self._due_s += self._period_s
+        if self._due_s < self._end_s:
+            self._timeline.at(self._due_s + min(0.002, self._random.expovariate(2000.0)), self._fire)

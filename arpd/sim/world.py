@@ -1,0 +1,349 @@
+"""The daemon's world over the simulated link: relay, planner node and peer."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from arpd.estimate.receiver import Receiver, ReportSchedule
+from arpd.model.endpoints import Direction
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.observation import Glance, MemoryState, Observation
+from arpd.model.probing import PeerReport
+from arpd.model.relay import RelaySummary
+from arpd.model.wire import probe_wire_bytes
+from arpd.ros.nodes import SILENT_S
+from arpd.sim.foreign import PACKET_BYTES
+from arpd.sim.timeline import Alarm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+    from random import Random
+
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import QosPlan, TopicPlan
+    from arpd.model.price import Price
+    from arpd.model.probing import ProbeRequest
+    from arpd.model.settings import GraphSettings
+    from arpd.sim.ends import SimulatedEnd
+    from arpd.sim.foreign import ForeignFlow
+    from arpd.sim.link import SimulatedLink
+    from arpd.sim.robot import SimTopic
+    from arpd.sim.timeline import Timeline
+
+RELAY, PLANNER = "/arpd_relay", "/planner"
+_ON_HOST_S = 0.001
+_TELL_S = 1.0
+_SILENT_S = 5.0  # as in arpd.endpoint.node_publishers
+_AGAIN_S = (1.5, 12.0)  # first and longest: nothing here repeats what is lost, as DDS does
+_PEER_CLOCK_S = 3.217  # the base computer's clock is ahead by this, because nothing may depend on equal clocks
+_STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
+_PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
+_REPORT_BYTES, _PRICE_BYTES, _SNAPSHOT_BYTES, _PLAN_BYTES = 230, 210, 500, 700  # on the wire
+
+
+class Managed(Protocol):
+    """A publisher that the daemon manages."""
+
+    @property
+    def topic(self) -> SimTopic:
+        """The topic."""
+
+    def retune(self, plan: TopicPlan) -> None:
+        """Take a plan."""
+
+    def set_price(self, price: Price | None) -> None:
+        """Take the price of the link."""
+
+    def state(self, *, generation: int) -> PublisherState:
+        """Return the state to announce."""
+
+
+@dataclass(slots=True)
+class _Node:
+    """One node with adaptive publishers, and what the daemon has asked of it."""
+
+    name: str
+    publishers: list[Managed]
+    is_remote: bool
+    generation: int = 0
+    lease_s: float = 0.0
+    price: Price | None = None
+    price_at_s: float = -1e9
+    announced: tuple[PublisherState, ...] = ()
+    announced_at_s: float = -1e9
+
+
+@dataclass(slots=True)
+class _Peer:
+    """The receiver on the base computer."""
+
+    schedule: ReportSchedule
+    receiver: Receiver = field(default_factory=Receiver)
+    rx_bytes: int = 0
+    rx_packets: int = 0
+    stamp_s: float = 0.0
+
+
+class SimulatedWorld:
+    """An `arpd.daemon.tick.World` over the simulated link, which all traffic from and to remote nodes crosses.
+
+    Parameters
+    ----------
+    up, down : the link, from and to the robot
+    publishers : publishers that the daemon manages
+    random : source of phases and jitter
+    graph : pinned topic counts
+    on_report : called when a peer report arrives, so that a tick can follow at once
+    into_peer : other traffic that the peer's interface receives
+    has_peer : whether a peer receives probes and sends reports
+    end : the robot's end of a relay with two; then nothing that stays on its host is managed
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        *,
+        up: SimulatedLink,
+        down: SimulatedLink,
+        publishers: Sequence[Managed],
+        random: Random,
+        graph: GraphSettings,
+        on_report: Callable[[], None],
+        into_peer: Sequence[ForeignFlow] = (),
+        has_peer: bool = True,
+        end: SimulatedEnd | None = None,
+    ) -> None:
+        self._end = end
+        self._relay: RelaySummary | None = None
+        self._timeline = timeline
+        self._up, self._down = up, down
+        self._graph = graph
+        self._on_report_arrived = on_report
+        self._into_peer = into_peer
+        self._has_peer = has_peer
+        self._random = random
+        self._reports: list[PeerReport] = []
+        self._results: Counter[str] = Counter()
+        self._asked_generation, self._asked_at_s, self._again_s = -1, -math.inf, _AGAIN_S[0]
+        self._probes = 0
+        self._probe_bytes = 0
+        self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
+        self._report_bytes = 0
+        by_direction = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
+        if end is not None:
+            by_direction[Direction.LOCAL] = []
+            timeline.every(_TELL_S, self._summarise, first_s=timeline.now_s + self._random.random())
+        self._nodes = {
+            RELAY: _Node(
+                name=RELAY, publishers=by_direction[Direction.SENSING] + by_direction[Direction.LOCAL], is_remote=False
+            ),
+            PLANNER: _Node(name=PLANNER, publishers=by_direction[Direction.ACTUATION], is_remote=True),
+        }
+        self._counts = {direction: len(publishers) for direction, publishers in by_direction.items()}
+        for node in self._nodes.values():
+            first_s = self._timeline.now_s + self._random.random()
+            self._timeline.every(_TELL_S, partial(self._tell, node), first_s=first_s)
+        self._report_alarm = Alarm(self._timeline, self._look)
+        if has_peer:
+            self._report_alarm.set(self._peer.schedule.due_s)
+
+    # -- observe
+
+    def observe(self, now_s: float) -> Observation:
+        """Return the observation of one tick."""
+        reports, self._reports = tuple(self._reports), []
+        pinned = self._graph
+        return Observation(
+            now_s=now_s,
+            counters=self._counters(),
+            reports=reports,
+            publishers=tuple(
+                state
+                for node in self._nodes.values()
+                if now_s - node.announced_at_s <= SILENT_S
+                for state in node.announced
+            ),
+            memory=MemoryState(total_bytes=4 * 2**30, available_bytes=2 * 2**30),
+            sensing_topics=self._counts[Direction.SENSING] if pinned.sensing_topics is None else pinned.sensing_topics,
+            actuation_topics=(
+                self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
+            ),
+            peers=None if self._has_peer else 0,
+            relay=self._relay,
+        )
+
+    def glance(self) -> Glance:
+        """Return what shows whether a tick is worth its cost."""
+        return Glance(has_reports=bool(self._reports), backlog_bytes=int(self._up.backlog_bytes))
+
+    def _counters(self) -> LinkCounters:
+        up, down = self._up, self._down
+        return LinkCounters(
+            interface="sim0",
+            rx_bytes=int(down.received_bytes()),
+            tx_bytes=int(up.sent_bytes),
+            backlog_bytes=int(up.backlog_bytes),
+            rx_packets=down.received_packets,
+            tx_packets=up.sent_packets,
+            tx_dropped=up.dropped_packets,
+            state=InterfaceState.UP,
+        )
+
+    # -- act
+
+    def set_price(self, price: Price) -> None:
+        """Send the price to every publisher; best effort, as on the real topic."""
+        for node in self._nodes.values():
+            self._reach(node, _PRICE_BYTES, partial(self._on_price, node, price))
+
+    def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
+        """Send a new plan at once, and an unconfirmed one again after a growing time."""
+        is_newer = plan.generation > self._asked_generation
+        if not missing or (not is_newer and now_s - self._asked_at_s < self._again_s):
+            return
+        self._again_s = _AGAIN_S[0] if is_newer else min(2 * self._again_s, _AGAIN_S[1])
+        self._asked_generation, self._asked_at_s = plan.generation, now_s
+        for node in self._nodes.values():
+            self._reach(node, _PLAN_BYTES, partial(self._on_plan, node, plan, lease_s))
+
+    def stand_by(self) -> None:
+        """Do nothing: no other daemon is simulated."""
+
+    def probe(self, request: ProbeRequest) -> None:
+        """Send one train or ping over the link."""
+        self._probes += 1
+        wire_bytes = probe_wire_bytes(request.packet_bytes)
+        self._probe_bytes += request.packets * wire_bytes
+        for index in range(request.packets):
+            sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
+            arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else _nobody
+            self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
+
+    def reconfigure(self, graph: GraphSettings) -> None:
+        """Take new pinned topic counts."""
+        self._graph = graph
+
+    def results(self) -> Mapping[str, int]:
+        """Return the answers to plans, by result."""
+        return dict(self._results)
+
+    @property
+    def report_bytes(self) -> int:
+        """Wire bytes of all reports sent."""
+        return self._report_bytes
+
+    def probes_sent(self) -> tuple[int, int]:
+        """Return the number of probes and their wire bytes."""
+        return self._probes, self._probe_bytes
+
+    # -- on the nodes
+
+    def _reach(self, node: _Node, wire_bytes: int, deliver: Callable[[], None]) -> None:
+        if node.is_remote:
+            self._up.send(wire_bytes, 1, deliver)
+        else:
+            self._timeline.at(self._timeline.now_s + _ON_HOST_S, deliver)
+
+    def _on_price(self, node: _Node, price: Price) -> None:
+        node.price, node.price_at_s = price, self._timeline.now_s
+        for publisher in node.publishers:
+            publisher.set_price(price)
+
+    def _on_plan(self, node: _Node, plan: QosPlan, lease_s: float) -> None:
+        if plan.generation < node.generation:
+            self._results["refused"] += 1
+            return
+        self._results["ok"] += 1
+        node.generation, node.lease_s = plan.generation, lease_s
+        for publisher in node.publishers:
+            if (row := plan.topics.get(publisher.state(generation=0).topic)) is not None:
+                publisher.retune(row)
+
+    def _tell(self, node: _Node) -> None:
+        now_s = self._timeline.now_s
+        if node.price is not None and now_s - node.price_at_s > _SILENT_S:
+            for publisher in node.publishers:
+                publisher.set_price(replace(node.price, is_stale=True))
+        states = tuple(
+            replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
+        )
+        deliver = partial(self._on_snapshot, node, states)
+        if node.is_remote:
+            self._down.send(_SNAPSHOT_BYTES, 1, deliver)
+        else:
+            self._timeline.at(now_s + _ON_HOST_S, deliver)
+
+    def _on_snapshot(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
+        now_s = node.announced_at_s = self._timeline.now_s
+        node.announced = tuple(replace(state, announced_at_s=now_s) for state in states)
+
+    def _summarise(self) -> None:
+        if self._end is not None:
+            self._relay = RelaySummary(other_host="base", is_reachable=True, link_bytes=self._end.link_bytes)
+
+    # -- on the peer
+
+    def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
+        # One thread stamps the packets, late and in order.
+        stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
+        self._peer.stamp_s = stamp_s = max(stamp_s, self._peer.stamp_s)
+        self._peer.receiver.on_probe(
+            train=request.number,
+            index=index,
+            packets=request.packets,
+            payload_bytes=request.packet_bytes,
+            sent_ns=round(sent_s * 1e9),
+            received_ns=round((stamp_s + _PEER_CLOCK_S) * 1e9),
+        )
+        self._peer.schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
+        if self._peer.schedule.due_s < self._report_alarm.when_s:
+            self._report_alarm.set(self._peer.schedule.due_s)
+
+    def _look(self) -> None:
+        """Send a report if one is due, as `arpd.ros.peer` does."""
+        schedule = self._peer.schedule
+        schedule.note_traffic(self._received_by_peer()[0] - self._peer.rx_bytes)
+        if self._timeline.now_s < schedule.due_s:
+            self._report_alarm.set(schedule.due_s)
+            return
+        self._report()
+        self._report_alarm.set(schedule.look_s)
+
+    def _report(self) -> None:
+        peer = self._peer
+        rx_bytes, rx_packets = self._received_by_peer()
+        delays_s, trains = peer.receiver.take()
+        report = PeerReport(
+            peer="base",
+            received_at_s=0.0,
+            interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
+            rx_bytes=rx_bytes - peer.rx_bytes,
+            rx_packets=rx_packets - peer.rx_packets,
+            delays_s=delays_s,
+            trains=trains,
+            last_probe=peer.receiver.last_probe,
+            probe_packets=peer.receiver.packets_before,
+        )
+        peer.rx_bytes, peer.rx_packets = rx_bytes, rx_packets
+        peer.schedule.note_sent(self._timeline.now_s)
+        self._report_bytes += _REPORT_BYTES
+        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
+
+    def _received_by_peer(self) -> tuple[int, int]:
+        """Return the bytes and packets that the peer's interface counts."""
+        other = sum(flow.offered_bytes(self._timeline.now_s) for flow in self._into_peer)
+        up = self._up
+        return int(up.received_bytes() + other), up.received_packets + int(other / PACKET_BYTES)
+
+    def _on_report(self, report: PeerReport, sent_s: float) -> None:
+        now_s = self._timeline.now_s
+        self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
+        self._on_report_arrived()
+
+
+def _nobody() -> None:
+    """Receive a probe that no peer waits for."""

@@ -1,0 +1,236 @@
+"""A reliable DDS writer and its reader in virtual time."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
+
+if TYPE_CHECKING:
+    from arpd.model.endpoints import WriterQos
+    from arpd.sim.arrivals import Arrivals
+    from arpd.sim.socket import Carrier, Socket
+    from arpd.sim.timeline import Timeline
+
+SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
+# Fast DDS resends at every ACKNACK, even samples that wait in the queue. This writer resends a sample once in this time
+# and never while it is on its way, so the robot without arpd looks better here than in reality.
+_RESEND_S = 0.1
+_MOST_ASKED = 256  # most numbers in one ACKNACK (RTPS 2.3, §9.4.2.6)
+
+
+class Sink(Protocol):
+    """What a reader gives its samples to."""
+
+    def on_arrival(self, sample: bytes) -> None:
+        """Take a sample from the wire; the middleware may hold it back until older ones arrive."""
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Take a sample that the application receives."""
+
+
+class Counting:
+    """Counts the samples of one topic, which begin with `SAMPLE`.
+
+    Parameters
+    ----------
+    payload_bytes : of each (bytes)
+    """
+
+    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
+        self._arrivals, self._timeline, self._payload_bytes = arrivals, timeline, payload_bytes
+
+    def on_arrival(self, sample: bytes) -> None:
+        """Note its latency."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
+        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
+
+    def on_delivery(self, sample: bytes) -> None:
+        """Count it."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
+        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LinkPath:
+    """The way from a writer to its reader, and the way back for acknowledgements.
+
+    Parameters
+    ----------
+    socket : of the participant; there the samples wait while the queue of ``there`` is full
+    """
+
+    timeline: Timeline
+    there: Carrier
+    back: Carrier
+    socket: Socket
+
+
+class _Reader:
+    """A reliable reader of one writer: delivers samples in order and skips those that the writer no longer has.
+
+    As in Fast DDS 2.14 (StatefulReader, WriterProxy), the reader delivers the next sample at once. Later samples wait
+    until the gap is filled or a heartbeat says that the missing samples are gone.
+    """
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._held: dict[int, bytes] = {}  # samples behind a gap
+        self._highest = 0
+        self.next = 1
+
+    def on_data(self, number: int, sample: bytes) -> None:
+        if number < self.next or number in self._held:
+            return
+        self._sink.on_arrival(sample)
+        if number > self.next:
+            self._held[number] = sample
+            return
+        self._sink.on_delivery(sample)
+        self.next += 1
+        if self._held:
+            self._release()
+
+    def on_heartbeat(self, first: int, last: int) -> list[int]:
+        """Return the numbers to request again, lowest first."""
+        self._highest = max(self._highest, last)
+        if first > self.next:
+            for number in sorted(number for number in self._held if number < first):
+                self._sink.on_delivery(self._held.pop(number))
+            self.next = first
+            self._release()
+        if self._highest < self.next:
+            return []
+        most = min(self._highest, self.next + _MOST_ASKED - 1)
+        return [number for number in range(self.next, most + 1) if number not in self._held]
+
+    def _release(self) -> None:
+        while self.next in self._held:
+            self._sink.on_delivery(self._held.pop(self.next))
+            self.next += 1
+
+
+class SimulatedWriter:
+    """A RELIABLE KEEP_LAST `Writer` with one reader; resends requested samples that its history still holds.
+
+    As in Fast DDS, a sample that fills the history carries a heartbeat; a periodic heartbeat serves the others.
+
+    Parameters
+    ----------
+    qos : depth (samples) and deadline (ns); the deadline only changes the count of missed periods
+    heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
+    """
+
+    def __init__(self, route: LinkPath, sink: Sink, *, qos: WriterQos, heartbeat_s: float) -> None:
+        self._timeline, self._there, self._back = route.timeline, route.there, route.back
+        self._socket = route.socket
+        self._depth = qos.depth
+        self._deadline_s = qos.deadline_ns / 1e9 or math.inf
+        self._published_s = math.inf  # time of the last sample
+        self._missed = 0
+        self._heartbeat_s = heartbeat_s
+        self._reader = _Reader(sink)
+        self._history: dict[int, bytes] = {}
+        self._settled_at_s: dict[int, float] = {}  # when all that was sent of a sample has arrived or is lost
+        self._missing: dict[int, int] = {}  # packets of a sample that have not arrived
+        self._first, self._last = 1, 0
+        self._acknowledged = 0
+        self._is_alive = True
+        self._is_beating = False
+
+    def publish(self, sample: bytes) -> None:
+        """Write one sample; a full history drops its oldest sample, acknowledged or not."""
+        self._missed, self._published_s = self.deadlines_missed(), self._timeline.now_s
+        self._last += 1
+        self._history[self._last] = sample
+        if len(self._history) > self._depth:
+            self._forget(self._first)
+            self._first += 1
+        self._send(self._last)
+        if not self._is_beating:
+            self._is_beating = True
+            self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
+
+    def matched(self) -> int:
+        """Return 1, at once, because a new writer's endpoint data arrives before its samples."""
+        return 1
+
+    def readers_acknowledge(self) -> bool:
+        """Return True, because the simulated reader is reliable."""
+        return True
+
+    def disconnects_readers(self) -> bool:
+        """Return False, because no simulated reader requests a deadline."""
+        return False
+
+    def is_acknowledged(self) -> bool:
+        """Return whether the reader has every sample."""
+        return self._acknowledged >= self._last
+
+    def deadlines_missed(self) -> int:
+        """Return the number of periods without a sample, counted from the first sample on, as in Fast DDS."""
+        return self._missed + int(max(0.0, self._timeline.now_s - self._published_s) / self._deadline_s)
+
+    def destroy(self) -> None:
+        """Stop resending; samples on the link still arrive."""
+        self._is_alive = False
+        self._first = self._last + 1
+        self._history.clear()
+        self._settled_at_s.clear()
+
+    def _send(self, number: int) -> None:
+        """Send what is missing of a sample."""
+        asked = (self._first, self._last) if len(self._history) >= self._depth else None
+        is_again = number in self._missing
+        wire_bytes, all_packets = wire_size(len(self._history[number]), rate_hz=math.inf)
+        packets = self._missing.setdefault(number, all_packets)
+        self._settled_at_s[number] = math.inf
+        self._socket.send(
+            wire_bytes * packets / all_packets,
+            packets,
+            is_again=is_again,
+            arrived=partial(self._arrive, number, self._history[number], asked),
+            settled=partial(self._settle, number),
+        )
+
+    def _settle(self, number: int, at_s: float) -> None:
+        if number in self._settled_at_s:
+            self._settled_at_s[number] = at_s
+
+    def _forget(self, number: int) -> None:
+        del self._history[number], self._settled_at_s[number]
+
+    def _beat(self) -> None:
+        if not self._is_alive or self.is_acknowledged():
+            self._is_beating = False
+            return
+        self._there.send(HEARTBEAT_BYTES, 1, partial(self._acknowledge, self._first, self._last))
+        self._timeline.at(self._timeline.now_s + self._heartbeat_s, self._beat)
+
+    # -- at the reader
+
+    def _arrive(self, number: int, sample: bytes, asked: tuple[int, int] | None, packets: int) -> None:
+        self._missing[number] = self._missing.get(number, 0) - packets
+        if self._missing[number] > 0:
+            return
+        del self._missing[number]
+        self._reader.on_data(number, sample)
+        if asked is not None:
+            self._acknowledge(*asked)
+
+    def _acknowledge(self, first: int, last: int) -> None:
+        missing = self._reader.on_heartbeat(first, last)
+        self._back.send(ACKNACK_BYTES, 1, partial(self._on_acknack, self._reader.next - 1, missing))
+
+    # -- back at the writer
+
+    def _on_acknack(self, acknowledged: int, missing: list[int]) -> None:
+        self._acknowledged = max(self._acknowledged, acknowledged)
+        now_s = self._timeline.now_s
+        for number in missing:
+            if number in self._history and now_s - self._settled_at_s[number] >= _RESEND_S:
+                self._send(number)

@@ -1,0 +1,152 @@
+"""What waits of one topic, and which sample leaves when its turn comes."""
+
+import math
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.endpoint.lane import SMALL_BYTES, Lane
+from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
+from tests.examples import examples
+
+LARGE = bytes(SMALL_BYTES)  # after the number in front of it
+
+
+def make(rate_hz=math.inf, *, depth=1, **options):
+    """Return a lane with a rate and a DEPTH that a plan gives it."""
+    lane = Lane(lambda _sample: None, **options)
+    lane.retune(TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=depth), None)
+    return lane
+
+
+def leave(lane, now_s=0.0):
+    """Let the next message leave; return its source and the number in front of it."""
+    current = lane.begin(now_s)
+    lane.ended(now_s)
+    return current.source, int(current.message[:4])
+
+
+def leave_all(lane):
+    return [leave(lane) for _ in range(len(lane))]
+
+
+def play(lane, arrivals):
+    """Offer (time, source, number) each; return what left when its rate let it."""
+    departures = []
+    for (now_s, source, number), (next_s, *_) in pairwise([*sorted(arrivals), (math.inf,)]):
+        lane.offer(b"%4d" % number, now_s, source=source)
+        looked_s = now_s
+        while len(lane) and (due_s := lane.due_s(looked_s, in_turn=False)) < next_s:
+            looked_s = due_s
+            departures.append((due_s, *leave(lane, due_s)))
+    return departures
+
+
+def every(rate_hz, source, for_s=20.0):
+    return [(number / rate_hz, source, number) for number in range(int(rate_hz * for_s))]
+
+
+@given(st.lists(st.sampled_from("abc"), min_size=1, max_size=20))
+def test_the_newest_of_each_source_leaves_in_the_turn_of_the_first(sources):
+    """While it waits, a sample is replaced by the newest of its source, which keeps the turn."""
+    lane = make()
+    for number, source in enumerate(sources):
+        lane.offer(b"%4d" % number + LARGE, 0.0, source=source)
+    newest = {source: number for number, source in enumerate(sources)}
+    assert leave_all(lane) == list(newest.items())
+    assert lane.withheld.total() == len(sources) - len(newest)
+
+
+def test_the_newest_leaves_whatever_its_size():
+    """A large sample that waits is no reason to hold back a newer small one."""
+    lane = make()
+    lane.offer(b"   0" + LARGE, 0.0)
+    lane.offer(b"   1", 0.0)
+    assert leave(lane) == (None, 1)
+
+
+@given(st.integers(2, 4), st.lists(st.one_of(st.none(), st.tuples(st.sampled_from("abc"), st.booleans())), max_size=40))
+def test_an_ordered_topic_keeps_its_order_and_counts_what_it_drops(depth, steps):
+    """Its sources leave in the order they came; each sample has left, is among the newest that wait, or is counted."""
+    lane = make(depth=depth, is_ordered=True)
+    offered, left = [], []
+    for step in steps:
+        if step is not None:
+            source, is_large = step
+            lane.offer(b"%4d" % len(offered) + is_large * LARGE, 0.0, source=source)
+            offered.append((source, len(offered)))
+        elif len(lane):
+            left.append(leave(lane))
+        assert len(lane) == min(depth, len(offered) - len(left) - lane.withheld.total())
+    waiting = len(lane)
+    left += leave_all(lane)
+    assert left == [each for each in offered if each in left]
+    assert left[len(left) - waiting :] == offered[len(offered) - waiting :]
+
+
+def test_a_history_keeps_small_samples_and_the_newest_large_one():
+    """A latched topic holds what late readers get: several small samples, but one map."""
+    lane = Lane(lambda _sample: None, depth=2, large_depth=1)
+    for number, more in enumerate([b"", b"", b"", LARGE, LARGE]):
+        lane.offer(b"%4d" % number + more, 0.0, source=len(more))
+    assert leave_all(lane) == [(0, 1), (len(LARGE), 4), (0, 2)]
+
+
+def test_sources_that_must_be_thinned_take_turns():
+    """Of three nodes on one topic at 50, 30 and 10 Hz none gets less than another one and wants more."""
+    heard = Counter(source for _, source, _ in play(make(45.0), [*every(50.0, 1), *every(30.0, 2), *every(10.0, 3)]))
+    assert [heard[source] for source in (1, 2, 3)] == pytest.approx([350, 350, 200], rel=0.15)
+
+
+def test_of_a_source_that_alternates_both_kinds_are_heard():
+    """Of two sentences in turn at 10 Hz, thinned to 5 Hz, both come, each at 1.5 Hz at least."""
+    kinds = Counter(number % 2 for _, _, number in play(make(5.0), every(10.0, "gps")))
+    assert kinds.total() == pytest.approx(100, abs=4)
+    assert min(kinds[0], kinds[1]) >= 30
+
+
+@examples(50)
+@given(st.floats(0.5, 500.0), st.floats(0.5, 500.0))
+def test_a_rate_is_a_ceiling_and_takes_nothing_from_a_slower_source(rate_hz, source_hz):
+    """Beyond one burst no more leaves than the rate, however it must be thinned; a slower source loses nothing."""
+    lane = make(rate_hz)
+    for_s = 200.0 / source_hz
+    left = [each for each in play(lane, every(source_hz, "a", for_s)) if each[0] < for_s]
+    assert len(left) <= rate_hz * for_s + max(2.0, 0.3 * rate_hz) + 1.5
+    if source_hz <= rate_hz:
+        assert lane.withheld.total() == 0
+
+
+def test_what_has_expired_does_not_leave():
+    """A sample older than its LIFESPAN is withheld, and the next one leaves in its place."""
+    lane = make(depth=3, is_ordered=True)
+    for number, expires_s in enumerate([1.0, 3.0, 2.0]):
+        lane.offer(b"%4d" % number, 0.0, expires_s=expires_s)
+    assert leave(lane, 2.0) == (None, 1)
+    assert lane.begin(2.0) is None
+    assert lane.withheld.total() == 2
+
+
+def test_what_a_rate_withholds_is_counted_by_its_cause():
+    """The user learns whether the ceiling or the price thins a topic."""
+    for rate_hz, cause in ((0.0, "rate"), (1e6, "price")):
+        lane = make()
+        row = TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=1.0, packets=1)
+        lane.retune(row, Price(share_per_weight=0.0, capacity_bytes_per_second=1.0))
+        play(lane, every(100.0, "a", for_s=0.05))
+        assert lane.withheld == {cause: 3}
+
+
+def test_what_is_on_its_way_or_was_just_now_is_known():
+    """A large answer is not sent again while it crosses, nor just after."""
+    lane = make()
+    lane.offer(b"", 0.0, source="answer")
+    assert not lane.is_sending("answer", 0.0)
+    lane.begin(0.0)
+    assert lane.is_sending("answer", 60.0)
+    lane.ended(60.0)
+    assert [lane.is_sending("answer", at_s) for at_s in (61.0, 70.0)] == [True, False]

@@ -1,0 +1,149 @@
+"""The paced queue of a participant whose samples cross whole, in virtual time; test_chunks.py has the relay's."""
+
+import math
+from collections import defaultdict
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.endpoint.lane import Lane
+from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
+from arpd.model.wire import wire_size
+from tests.examples import examples
+
+CAPACITY = 1e6
+LARGE, SMALL = 50_000, 500
+
+
+def plan(rate_hz, size=LARGE, **changes):
+    wire_bytes, packets = wire_size(size, rate_hz=math.inf)
+    row = TopicPlan(
+        rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=wire_bytes, packets=packets
+    )
+    return replace(row, **changes)
+
+
+class Participant:
+    """Its topics, each with a source, and when their samples left, and how old."""
+
+    def __init__(self, price=None):
+        self.now_s = 100.0
+        self.price = price or Price(share_per_weight=math.inf, capacity_bytes_per_second=CAPACITY)
+        self.queue = PacedQueue(Whole())
+        self.lanes, self.left = {}, defaultdict(list)
+
+    def topic(self, name, row, **options):
+        self.lanes[name] = lane = Lane(lambda sample: self.left[name].append((self.now_s, sample)), **options)
+        self.queue.add(lane)
+        self.queue.retune(lane, row, self.price)
+
+    def offer(self, name, size=LARGE):
+        self.queue.offer(self.lanes[name], repr(self.now_s).encode().ljust(size), self.now_s)
+
+    def serve(self):
+        while (ready := self.queue.take(self.now_s)) is not None:
+            ready.lane.write(ready.sample)
+
+    def play(self, sources, for_s):
+        """Let sources of (rate, size) publish by name, all at the same moment first."""
+        end_s, due_s = self.now_s + for_s, dict.fromkeys(sources, self.now_s)
+        while self.now_s < end_s:
+            for name, (rate_hz, size) in sources.items():
+                if self.now_s >= due_s[name]:
+                    due_s[name] += 1.0 / rate_hz
+                    self.offer(name, size)
+            self.serve()
+            next_s = min(end_s, self.queue.due_s(self.now_s), *due_s.values())
+            self.now_s = max(next_s, self.now_s + 1e-4)
+
+    def departures(self, name):
+        return [at_s for at_s, _ in self.left[name]]
+
+    def ages(self, name):
+        return [at_s - float(sample[:20]) for at_s, sample in self.left[name]]
+
+
+def test_cameras_that_coincide_leave_one_by_one_and_fresh():
+    """Samples of three cameras leave as far apart as the link needs, each the newest of its source."""
+    robot = Participant()
+    for name in "abc":
+        robot.topic(name, plan(5.0))
+    robot.play(dict.fromkeys("abc", (20.0, LARGE)), 4.0)
+    times = sorted(at_s for name in "abc" for at_s in robot.departures(name) if at_s > 101.0)
+    crosses_s = plan(5.0).wire_bytes / CAPACITY
+    assert min(after - before for before, after in pairwise(times)) > 0.8 * crosses_s
+    assert max(age_s for name in "abc" for age_s in robot.ages(name)) <= 1.0 / 20.0 + 0.001
+
+
+def test_small_samples_wait_for_no_large_one():
+    """While a picture crosses, an IMU's samples leave as they come, and the next picture waits."""
+    robot = Participant()
+    robot.topic("camera", plan(30.0))
+    robot.topic("imu", plan(200.0, SMALL))
+    robot.play({"camera": (30.0, LARGE), "imu": (200.0, SMALL)}, 3.0)
+    assert len(robot.left["imu"]) >= 600
+    assert max(robot.ages("imu")) == 0.0
+    carried = sum(len(sample) for name in ("camera", "imu") for _, sample in robot.left[name]) / 3.0
+    assert 0.8 * CAPACITY < carried < CAPACITY
+
+
+@pytest.mark.parametrize("size", [SMALL, LARGE])
+def test_without_receipts_no_topic_exceeds_its_rate_at_the_price(size):
+    """What others leave is nobody's: no receipt would tell that the link takes more."""
+    row = plan(100.0, size)
+    price = Price(share_per_weight=5.0 * row.wire_bytes / CAPACITY, capacity_bytes_per_second=CAPACITY, spare_share=0.0)
+    robot = Participant(price)
+    for name in "ab":
+        robot.topic(name, row)
+    robot.play({"a": (50.0, size)}, 10.0)
+    assert len(robot.left["a"]) == pytest.approx(51, abs=2)
+
+
+@examples(25)
+@given(st.lists(st.tuples(st.floats(1.0, 15.0), st.floats(2.0, 30.0)), min_size=1, max_size=4))
+def test_no_topic_loses_rate_to_its_turn(topics):
+    """Each topic keeps its rate where the link carries them all, and most of it where it does not."""
+    robot = Participant()
+    size = 13_000
+    sources = {}
+    for name, (rate_hz, source_hz) in enumerate(topics):
+        robot.topic(name, plan(rate_hz, size))
+        sources[name] = source_hz, size
+    load = sum(plan(1.0, size).wire_bytes / CAPACITY * min(each) for each in topics)
+    robot.play(sources, 6.0)
+    for name, each in enumerate(topics):
+        assert len(robot.left[name]) >= (0.9 if load < 0.9 else 0.6) * 6.0 * min(each) - 2
+
+
+def test_a_lane_that_a_thread_is_at_delays_no_other_one():
+    """While one topic's writer blocks, the others leave, and its own next sample waits."""
+    robot = Participant()
+    for name in "ab":
+        robot.topic(name, plan(100.0, SMALL))
+    robot.lanes["a"].claimant = 1
+    for name in "ab":
+        robot.offer(name, SMALL)
+        assert robot.queue.take_of(robot.lanes[name], robot.now_s) is None or name == "b"
+    robot.now_s += 1.0
+    robot.serve()
+    assert not robot.left["a"]
+    robot.lanes["a"].claimant = None
+    robot.serve()
+    assert len(robot.left["a"]) == 1
+
+
+def test_who_publishes_writes_no_sample_of_another_topic():
+    """A thread takes its own sample where it is its turn, and leaves a picture that waits to the other thread."""
+    robot = Participant()
+    robot.topic("camera", plan(5.0))
+    robot.topic("imu", plan(100.0, SMALL))
+    robot.offer("camera")
+    robot.offer("imu", SMALL)
+    assert len(robot.queue.take_of(robot.lanes["imu"], robot.now_s)) == SMALL
+    assert len(robot.lanes["camera"]) == 1
+    assert len(robot.queue.take_of(robot.lanes["camera"], robot.now_s)) == LARGE

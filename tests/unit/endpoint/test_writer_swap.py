@@ -1,0 +1,412 @@
+"""Course of single writer swaps; test_writer_swap_machine.py has the invariants over any sequence of events."""
+
+import pytest
+
+from arpd.endpoint.writer_swap import SwapState, SwapTiming
+from arpd.model.endpoints import SwapResult
+from tests.unit.swap_world import FIRST, make, qos
+
+TIMING = SwapTiming()
+
+
+def run(swap, start_s, seconds, *, publishing=False):
+    """Let time pass; with ``publishing``, an application publishes at 200 Hz."""
+    for step in range(round(seconds / 0.005)):
+        swap.step(start_s + step * 0.005)
+        if publishing and not swap.is_holding:
+            publish(swap, start_s + step * 0.005)
+    return start_s + seconds
+
+
+def publish(swap, now_s):
+    swap.current.publish("sample")
+    swap.wrote(now_s)
+
+
+def acknowledge(world, *, is_acknowledging=True):
+    for writer in world.live:
+        writer.acknowledges = is_acknowledging
+
+
+def test_a_swap_settles_then_switches_when_acknowledged():
+    """The new writer takes over after the settle time, and the old one goes once the new one has proved itself."""
+    world, swap = make()
+    swap.request(qos(2))
+    swap.step(0.0)
+    assert swap.state is SwapState.MATCHING
+    swap.step(TIMING.settle_s - 0.001)
+    assert swap.qos == FIRST
+    swap.step(TIMING.settle_s)
+    assert swap.qos == qos(2)
+    publish(swap, TIMING.settle_s)
+    assert len(world.live) == 2
+    swap.step(TIMING.settle_s + 0.005)
+    assert world.results == [SwapResult.OK]
+    swap.step(TIMING.settle_s + 0.01)
+    assert world.live == [swap.current]
+
+
+@pytest.mark.parametrize(
+    ("loss_ratio", "is_reliable", "settle_s"),
+    [
+        (0.0, True, 0.2),
+        (0.0049, True, 0.2),
+        (0.0, False, 1.5),
+        (0.005, True, 3.0),
+        (0.3, False, 3.0),
+        (None, True, 3.0),
+    ],
+)
+def test_on_a_clean_link_a_swap_settles_soon(loss_ratio, is_reliable, settle_s):
+    """The settle time is short while the link is known to lose next to nothing, and shortest if a proof is possible."""
+    world, swap = make()
+    world.has_reliable_readers = is_reliable
+    swap.loss_ratio = loss_ratio
+    swap.request(qos(2))
+    swap.step(0.0)
+    swap.step(settle_s - 0.001)
+    assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
+    run(swap, settle_s, 0.05, publishing=True)
+    assert world.results == [SwapResult.OK]
+
+
+def test_a_link_that_is_clean_no_longer_is_given_time():
+    """A loss that shows while readers settle, or while a silent topic waits for proof, gives them the longer time."""
+    world, swap = make()
+    swap.loss_ratio = 0.0
+    swap.request(qos(2))
+    run(swap, 0.0, 0.15)
+    swap.loss_ratio = 0.1
+    run(swap, 0.15, TIMING.settle_s - 0.2)
+    assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
+    swap.loss_ratio = 0.0
+    swap.step(TIMING.settle_s)
+    assert (swap.state, swap.qos) == (SwapState.PROVING, qos(2))
+    swap.loss_ratio = None
+    run(swap, TIMING.settle_s, TIMING.settle_s - 0.05)
+    assert swap.state is SwapState.PROVING
+    run(swap, 2 * TIMING.settle_s, 0.1)
+    assert world.results == [SwapResult.OK]
+
+
+@pytest.mark.parametrize("settle_s", [0.0, 0.1])
+def test_a_settle_time_below_the_clean_one_stays(settle_s):
+    """A clean link makes no swap slower."""
+    _, swap = make(SwapTiming(settle_s=settle_s))
+    swap.loss_ratio = 0.0
+    swap.request(qos(2))
+    swap.step(0.0)
+    swap.step(settle_s)
+    assert swap.qos == qos(2)
+
+
+def settled(world, swap, wanted=None):
+    """Bring a swap to WATCHING; return the time."""
+    acknowledge(world, is_acknowledging=False)
+    swap.request(wanted or qos(2))
+    now_s = run(swap, 0.0, TIMING.settle_s + 0.01)
+    assert swap.state is SwapState.WATCHING
+    return now_s
+
+
+def test_samples_are_held_once_and_only_when_no_moment_offers_itself():
+    """With slow acknowledgements the swap watches, holds once, and watches until patience ends."""
+    world, swap = make()
+    now_s = settled(world, swap)
+    changes = []
+    while swap.state is not SwapState.PROVING:
+        before = swap.state
+        now_s = run(swap, now_s, 0.01)
+        if swap.state is not before:
+            changes.append((swap.state, now_s - TIMING.settle_s))
+    assert [state for state, _ in changes] == [SwapState.HOLDING, SwapState.WATCHING, SwapState.PROVING]
+    expected_s = [TIMING.watch_s, TIMING.watch_s + TIMING.hold_s, TIMING.patience_s]
+    assert [at_s for _, at_s in changes] == pytest.approx(expected_s, abs=0.05)
+
+
+def test_patience_ends_and_the_old_writer_drains_beside():
+    """A writer that is never fully acknowledged is replaced too; the result says so, and the old one drains."""
+    world, swap = make()
+    now_s = run(swap, settled(world, swap), TIMING.patience_s)
+    world.writers[1].acknowledges = True
+    publish(swap, now_s)
+    now_s = run(swap, now_s, 0.01)
+    assert world.results == [SwapResult.REORDER_POSSIBLE]
+    assert len(world.live) == 2
+    run(swap, now_s, TIMING.drain_s + 0.01)
+    assert world.live == [swap.current]
+    assert world.results[-1] is SwapResult.UNDELIVERED
+
+
+def proving(world, swap, wanted=None):
+    """Bring a swap to PROVING; return the time."""
+    now_s = settled(world, swap, wanted)
+    world.writers[0].acknowledges, world.writers[1].acknowledges = True, False
+    swap.step(now_s)
+    assert swap.state is SwapState.PROVING
+    assert swap.current is world.writers[1]
+    return now_s
+
+
+def test_no_more_is_on_trial_than_the_new_writer_keeps():
+    """Half of its history may be on trial; further samples are held."""
+    world, swap = make()
+    now_s = proving(world, swap, qos(8))
+    for _ in range(4):
+        assert not swap.is_holding
+        publish(swap, now_s)
+    assert swap.is_holding
+    world.writers[1].acknowledges = True
+    swap.step(now_s + 0.1)
+    assert world.results == [SwapResult.OK]
+    assert not swap.is_holding
+
+
+def test_a_new_writer_whose_readers_are_late_is_not_trusted_yet():
+    """Samples leave by the old writer until those on trial are acknowledged; then the new one takes over."""
+    world, swap = make()
+    now_s = proving(world, swap)
+    publish(swap, now_s)
+    assert swap.is_holding
+    now_s = run(swap, now_s, TIMING.hold_s + 0.01)
+    assert swap.state is SwapState.DOUBTING
+    assert swap.current is world.writers[0]
+    assert swap.qos == FIRST
+    now_s = run(swap, now_s, 1.0, publishing=True)
+    assert len(world.writers[0].written) == 200
+    acknowledge(world)
+    run(swap, now_s, 0.02)
+    assert world.results == [SwapResult.REORDER_POSSIBLE]
+    assert world.live == [swap.current] == [world.writers[1]]
+
+
+@pytest.mark.parametrize(("depth", "doubted_after_s"), [(2, TIMING.hold_s), (8, TIMING.match_timeout_s)])
+def test_a_new_writer_that_proves_nothing_is_given_up(depth, doubted_after_s):
+    """A sample on trial that is never acknowledged ends the swap, and is counted, whether others are held or not."""
+    world, swap = make()
+    now_s = proving(world, swap, qos(depth))
+    publish(swap, now_s)
+    run(swap, now_s, doubted_after_s + TIMING.match_timeout_s + 0.02)
+    assert world.results == [SwapResult.UNMATCHED, SwapResult.UNDELIVERED]
+    assert world.results_of == [qos(depth)] * 2
+    assert world.live == [swap.current] == [world.writers[0]]
+
+
+def test_samples_on_trial_are_not_thrown_away_by_a_newer_request():
+    """The swap waits for their acknowledgement, even when the old QoS is requested again."""
+    world, swap = make()
+    now_s = proving(world, swap)
+    publish(swap, now_s)
+    swap.request(FIRST)
+    now_s = run(swap, now_s, TIMING.hold_s + 1.0)
+    assert len(world.live) == 2
+    acknowledge(world)
+    run(swap, now_s, 1.0)
+    assert world.results == [SwapResult.SUPERSEDED]
+    assert world.live == [swap.current] == [world.writers[0]]
+
+
+def test_a_silent_topic_is_swapped_without_proof():
+    """Without samples nothing can be lost, so the swap ends after the settle time."""
+    world, swap = make()
+    now_s = proving(world, swap)
+    now_s = run(swap, now_s, TIMING.settle_s - 0.02)
+    assert not world.results
+    run(swap, now_s, 0.03)
+    assert world.results == [SwapResult.OK]
+
+
+def test_readers_that_do_not_match_leave_the_old_writer():
+    """A new writer that no reader matches is destroyed, and the old one stays in force."""
+    world, swap = make()
+    world.readers = 0
+    swap.request(qos(2))
+    run(swap, 0.0, TIMING.match_timeout_s + 0.1)
+    assert world.results == [SwapResult.UNMATCHED]
+    assert swap.qos == FIRST
+    assert not swap.is_busy
+
+
+def test_without_readers_a_swap_needs_no_acknowledgement():
+    """The swap waits only for the settle time."""
+    world, swap = make()
+    world.readers = swap.current.readers = 0
+    swap.current.acknowledges = False
+    swap.request(qos(2))
+    run(swap, 0.0, TIMING.settle_s + 0.02)
+    assert world.results == [SwapResult.OK]
+
+
+def test_a_newer_request_supersedes_one_that_waits_for_readers():
+    """The newest request wins, and the replaced one has a result."""
+    world, swap = make()
+    world.readers = 0
+    swap.request(qos(2))
+    swap.step(0.0)
+    world.readers = 1
+    swap.request(qos(3))
+    run(swap, 0.01, TIMING.settle_s + 1.0, publishing=True)
+    assert world.results == [SwapResult.SUPERSEDED, SwapResult.OK]
+    assert swap.qos == qos(3)
+
+
+def test_requests_that_never_cease_do_not_starve_each_other():
+    """With another request every 500 ms the writer still changes, each time to the newest one."""
+    world, swap = make()
+    now_s = 0.0
+    for depth in range(2, 200):
+        swap.request(qos(depth))
+        now_s = run(swap, now_s, 0.5, publishing=True)
+    in_force = [writer.qos.depth for writer in world.writers[1:]]
+    assert len(in_force) > 30
+    assert in_force == sorted(in_force)
+    assert set(world.results) == {SwapResult.OK}
+    run(swap, now_s, 5.0, publishing=True)
+    assert swap.qos == qos(199)
+
+
+@pytest.mark.parametrize("is_under_way", [False, True])
+def test_a_request_that_changes_nothing_is_no_swap(is_under_way):
+    """A request for the QoS in force, or for the one under way, makes no writer."""
+    world, swap = make()
+    wanted = qos(2) if is_under_way else FIRST
+    if is_under_way:
+        swap.request(wanted)
+        swap.step(0.0)
+    writers = len(world.writers)
+    swap.request(wanted)
+    swap.step(0.01)
+    assert len(world.writers) == writers
+
+
+def test_a_refusing_middleware_leaves_the_old_writer():
+    """A writer that cannot be made is a result, and the old one stays."""
+    world, swap = make()
+    world.refuses = True
+    swap.request(qos(2))
+    swap.step(0.0)
+    assert world.results == [SwapResult.FAILED]
+    assert swap.qos == FIRST
+    assert not swap.is_busy
+
+
+def test_a_reader_that_refuses_the_new_qos_ends_the_swap():
+    """A reader that the new writer would lose ends the swap at once, and the old writer stays."""
+    world, swap = make()
+    swap.request(qos(2))
+    swap.step(0.0)
+    world.live[-1].loses_readers = True
+    swap.step(0.005)
+    assert world.results == [SwapResult.INCOMPATIBLE]
+    assert world.live == [swap.current] == world.writers[:1]
+
+
+def test_a_reader_that_joins_while_samples_are_held_is_waited_for():
+    """A reader that only the old writer serves ends the holding, and the switch comes when both serve it."""
+    world, swap = make()
+    now_s = run(swap, settled(world, swap), TIMING.watch_s + 0.01)
+    assert swap.is_holding
+    swap.current.readers = 2
+    now_s = run(swap, now_s, 0.01)
+    assert swap.state is SwapState.MATCHING
+    world.live[-1].readers = 2
+    acknowledge(world)
+    now_s = run(swap, now_s, TIMING.settle_s - 0.01)
+    assert swap.qos == FIRST, "the new reader's side has not settled"
+    run(swap, now_s, 0.05, publishing=True)
+    assert world.results == [SwapResult.OK]
+
+
+@pytest.mark.parametrize("is_on_trial", [False, True])
+def test_a_reader_that_joins_while_the_new_writer_proves_itself_is_waited_for(is_on_trial):
+    """The old writer stays until both serve that reader and the new one has proved itself again."""
+    world, swap = make()
+    now_s = proving(world, swap, qos(8))
+    if is_on_trial:
+        publish(swap, now_s)
+    world.writers[0].readers = 2
+    now_s = run(swap, now_s, 0.01)
+    assert swap.current is world.writers[0]
+    acknowledge(world)
+    now_s = run(swap, now_s, 1.0, publishing=True)
+    assert swap.current is world.writers[0]
+    world.writers[1].readers = 2
+    now_s = run(swap, now_s, TIMING.settle_s + 0.02)
+    assert swap.state is SwapState.PROVING
+    run(swap, now_s, 0.05, publishing=True)
+    assert world.results == [SwapResult.REORDER_POSSIBLE if is_on_trial else SwapResult.OK]
+
+
+def test_readers_that_keep_joining_do_not_end_a_swap():
+    """Each joining reader delays the switch, all together by at most the match timeout."""
+    world, swap = make()
+    swap.request(qos(8))
+    now_s = 0.0
+    for readers in range(2, 30):
+        now_s = run(swap, now_s, 0.8 * TIMING.settle_s, publishing=True)
+        for writer in world.live:
+            writer.readers = readers
+    assert world.results == [SwapResult.OK]
+    assert swap.qos == qos(8)
+
+
+def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
+    """The swap is over when matching times out."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2))
+    for step in range(int(1.2 * TIMING.match_timeout_s / 0.05)):
+        swap.current.readers = 1 + step // 4 % 2
+        swap.step(step * 0.05)
+    assert len(world.results) == 1
+    assert swap.state is SwapState.IDLE
+
+
+def test_old_writers_do_not_pile_up():
+    """While a reader never acknowledges, a limited number of old writers drains, and requests coalesce."""
+    world, swap = make(SwapTiming(settle_s=0.1, patience_s=0.0, drain_s=10.0))
+    now_s = 0.0
+    for depth in range(2, 40):
+        for writer in world.live:
+            writer.acknowledges = writer is not world.writers[0] and writer is swap.current
+        swap.request(qos(depth))
+        for _ in range(60):
+            now_s = run(swap, now_s, 0.01)
+            if not swap.is_holding:
+                publish(swap, now_s)
+            swap.current.acknowledges = swap.state is SwapState.PROVING
+        assert len(world.live) <= TIMING.most_draining + 2
+    assert SwapResult.UNDELIVERED in world.results
+    acknowledge(world)
+    run(swap, now_s, 20.0)
+    assert swap.qos == qos(39)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.15, 0.5])
+def test_nothing_happens_after_close(seconds):
+    """Closed at any moment of a swap, no writer lives on, and a request makes none."""
+    world, swap = make()
+    swap.current.acknowledges = False
+    swap.request(qos(2))
+    run(swap, 0.0, seconds)
+    swap.close()
+    swap.close()
+    swap.request(qos(3))
+    swap.step(seconds + 1.0)
+    assert not world.live
+    assert not swap.is_busy
+
+
+def test_a_writer_that_fails_to_close_leaves_no_other_behind():
+    """When destroying one writer raises, the others are destroyed too."""
+    world, swap = make()
+    swap.request(qos(2))
+    swap.step(0.0)
+
+    def fail():
+        raise RuntimeError("the node is gone")
+
+    world.writers[1].destroy = fail
+    with pytest.raises(RuntimeError, match="the node is gone"):
+        swap.close()
+    assert not world.writers[0].is_alive

@@ -1,0 +1,211 @@
+"""Receiver of probes at the peer: the dispersion of trains, and the times of reports."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.estimate.receiver import (
+    BUSY_S,
+    LONGEST_QUIET_S,
+    PROMPT_S,
+    WORTH_BYTES,
+    Arrival,
+    Receiver,
+    ReportSchedule,
+    measure_train,
+)
+from arpd.model.wire import probe_wire_bytes
+
+SIZE = 1200
+WIRE = probe_wire_bytes(SIZE)
+RATE = 625_000.0  # 5 Mbit/s
+SPACING_NS = round(WIRE / RATE * 1e9)
+OFFSET_NS = -7 * 10**15  # the two clocks never agreed
+
+
+def arrivals(received_ns, *, sent_every_ns=100_000):
+    return [
+        Arrival(wire_bytes=WIRE, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
+        for i, at in enumerate(received_ns)
+    ]
+
+
+def measure(received_ns, *, lost=0, **options):
+    return measure_train(arrivals(received_ns, **options), packets=len(received_ns) + lost)
+
+
+def grouped(*sizes, gap_ns=20_000):
+    """Return arrivals of aggregates: a group of k packets arrives when the link has carried all k of them."""
+    out, now = [], 0
+    for size in sizes:
+        now += size * SPACING_NS
+        out += [now + place * gap_ns for place in range(size)]
+    return out
+
+
+def test_an_even_train_reads_bytes_after_the_first_packet_over_their_time():
+    """The first packet only starts the clock."""
+    train = measure([i * SPACING_NS for i in range(12)])
+    assert (train.packets, train.payload_bytes) == (11, 11 * WIRE)
+    assert train.rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert train.sent_s == pytest.approx(11 * 100e-6)
+
+
+def test_a_train_as_slow_as_its_sender_says_so():
+    """A train that arrives as it left shows the sender's rate, and its departures reveal this."""
+    train = measure([i * 500_000 for i in range(12)], sent_every_ns=500_000)
+    assert train.packets == 11
+    assert train.sent_s == pytest.approx(train.duration_s)
+
+
+@pytest.mark.parametrize("packets", [10, 24])
+@pytest.mark.parametrize("gap_ns", [0, 15_000, 40_000])
+def test_a_train_that_arrives_all_at_once_tells_nothing(packets, gap_ns):
+    """One dense group shows the pace of the receiving host, not that of the link."""
+    assert measure(grouped(packets, gap_ns=gap_ns)) is None
+
+
+@pytest.mark.parametrize("step_ns", [SPACING_NS + 1, 2 * SPACING_NS, 10**9, 3 * 10**12])
+@pytest.mark.parametrize("at", [1, 6, 11])
+def test_a_clock_that_steps_back_inside_a_train_spoils_it(step_ns, at):
+    """A negative gap comes from the clock, so the train is not used."""
+    assert measure([i * SPACING_NS - (step_ns if i >= at else 0) for i in range(12)]) is None
+
+
+@st.composite
+def journeys(draw):
+    """Draw a train over a token bucket and an aggregating radio, to a thread that wakes up late at any packet.
+
+    Two stamps are on time: those of the last packets of two aggregates more than half of the train apart.
+    """
+    packets = draw(st.integers(12, 40))
+    wire_bytes = draw(st.integers(180, 1500))
+    spacing_ns = draw(st.integers(100_000, 20_000_000))
+    sent_every_ns = draw(st.integers(0, spacing_ns // 2))
+    saved = draw(st.integers(0, packets // 8))  # packets' worth of tokens
+    aggregate = draw(st.integers(1, packets // 6))
+    last = packets - 1
+    left = [max(i * sent_every_ns, (i - saved) * spacing_ns) for i in range(packets)]
+    ended = [left[min(last, i - i % aggregate + aggregate - 1)] for i in range(packets)]
+    steady = 2 * saved - 2 * saved % aggregate + aggregate - 1
+    late = st.one_of(st.just(0), st.integers(0, 5 * spacing_ns))
+    received = [end if i in (steady, last) else end + draw(late) for i, end in enumerate(ended)]
+    for i in reversed(range(last)):
+        received[i] = min(received[i : i + 2])  # one thread stamps them, in order
+    train = [
+        Arrival(wire_bytes=wire_bytes, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
+        for i, at in enumerate(received)
+    ]
+    return train, wire_bytes / spacing_ns * 1e9
+
+
+@given(journeys())
+def test_late_stamps_groups_and_bursts_do_not_matter(journey):
+    """When two stamps more than half of the train apart are on time, the train reads the rate of the link."""
+    train, rate = journey
+    measured = measure_train(train, packets=len(train))
+    assert measured is not None
+    assert measured.rate_bytes_per_second == pytest.approx(rate, rel=1e-3)
+
+
+@given(st.lists(st.integers(-1, 3_000_000), min_size=1, max_size=40), st.integers(0, 400_000), st.integers(0, 10))
+def test_a_train_is_a_part_of_what_was_sent(gaps, sent_every_ns, lost):
+    """At any arrivals, bytes, packets and spans are those between two packets, or there is no train."""
+    sent = arrivals([sum(gaps[:i]) for i in range(len(gaps))], sent_every_ns=sent_every_ns)
+    train = measure_train(sent, packets=len(sent) + lost)
+    if train is not None:
+        assert lost <= 0.1 * (len(sent) + lost)
+        assert 1 <= train.packets < len(sent)
+        assert train.payload_bytes == train.packets * WIRE
+        assert train.sent_s == pytest.approx(train.packets * sent_every_ns / 1e9)
+        assert 0 < train.duration_s <= (sent[-1].received_ns - sent[0].received_ns) / 1e9
+
+
+def send(receiver, number, packets, *, indices=None, at_ns=0, spacing_ns=SPACING_NS):
+    for index in range(packets) if indices is None else indices:
+        receiver.on_probe(
+            train=number,
+            index=index,
+            packets=packets,
+            payload_bytes=SIZE if packets > 1 else 16,
+            sent_ns=index * 100_000,
+            received_ns=OFFSET_NS + at_ns + index * spacing_ns,
+        )
+
+
+def test_a_complete_train_is_reported_once():
+    """A train is available once its last packet arrives, and is taken once."""
+    receiver = Receiver()
+    send(receiver, 5, 10)
+    delays, trains = receiver.take()
+    assert (len(delays), len(trains), receiver.last_probe) == (1, 1, 5)
+    assert trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert receiver.take() == ((), ())
+
+
+@pytest.mark.parametrize("lost", [{4}, {0}, {19}, {0, 19}, {7, 8}])
+def test_a_tenth_may_be_lost_anywhere(lost):
+    """A train counts without its first or last packet; the next probe ends it."""
+    receiver = Receiver()
+    send(receiver, 1, 20, indices=[i for i in range(20) if i not in lost])
+    send(receiver, 2, 1)
+    (train,) = receiver.take()[1]
+    # A packet lost in the middle took link time, and its bytes do not count: the train reads low, never high.
+    assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
+
+
+def test_a_ping_between_the_packets_of_a_long_train_does_not_end_it():
+    """A train that takes longer than the pings' period still counts as a whole, once."""
+    receiver = Receiver()
+    send(receiver, 1, 40, indices=range(10))
+    send(receiver, 2, 1)
+    send(receiver, 1, 40, indices=range(10, 38))
+    send(receiver, 3, 1)
+    send(receiver, 1, 40, indices=range(38, 40))
+    send(receiver, 4, 1)
+    (train,) = receiver.take()[1]
+    assert (train.packets, receiver.last_probe) == (37, 4)
+
+
+def test_a_restarted_daemon_is_measured_from_its_first_train_on():
+    """Numbers that start again belong to new trains."""
+    receiver = Receiver()
+    for number in (812, 1, 2):
+        send(receiver, number, 10)
+    assert len(receiver.take()[1]) == 3
+
+
+def test_repeated_packets_do_not_pile_up():
+    """A sender that repeats one packet of a train without end takes no memory."""
+    receiver = Receiver()
+    send(receiver, 1, 10, indices=[0] * 1000)
+    assert len(receiver._arrivals) <= 10
+
+
+# -- the schedule
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.001, 0.6), st.sampled_from([1, 12, 0]), st.floats(0.0, 3.0)), min_size=1, max_size=60
+    )
+)
+def test_no_report_is_early_or_late(events):
+    """At any arrivals, pauses between reports stay within their bounds, and no ping waits longer than allowed."""
+    schedule = ReportSchedule(0.0)
+    now_s, last_s = 0.0, 0.0
+    for pause_s, packets, quiet_s in events:
+        now_s += pause_s
+        while schedule.due_s <= now_s:  # sends exactly when due
+            assert PROMPT_S - 1e-9 <= schedule.due_s - last_s <= LONGEST_QUIET_S + 1e-9
+            last_s = schedule.due_s
+            schedule.note_sent(last_s)
+        if packets:
+            schedule.note_probe(packets=packets, quiet_s=quiet_s)
+        else:
+            schedule.note_traffic(WORTH_BYTES)
+        most_s = {1: PROMPT_S, 12: BUSY_S, 0: schedule.look_s - last_s}[packets]
+        assert schedule.due_s - last_s <= most_s + 1e-9
+        if schedule.due_s <= now_s:
+            last_s = now_s
+            schedule.note_sent(now_s)

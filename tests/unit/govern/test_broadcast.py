@@ -1,0 +1,40 @@
+"""When the price goes out: at once when it changed, and once a second."""
+
+from dataclasses import replace
+
+import pytest
+
+from arpd.govern.broadcast import Broadcast
+from arpd.model.price import Price
+
+PRICE = Price(share_per_weight=0.1, capacity_bytes_per_second=1e6)
+
+
+def sent(prices):
+    """Return the ticks at which a price goes out, one price per tick of 100 ms."""
+    broadcast = Broadcast()
+    return [tick for tick, price in enumerate(prices) if broadcast.is_due(price, 100.0 + 0.1 * tick)]
+
+
+def test_a_price_that_stays_is_repeated_once_a_second():
+    """The message is best effort, and a sign that the daemon lives."""
+    assert sent([PRICE] * 25) == [0, 10, 20]
+
+
+@pytest.mark.parametrize(("factor", "is_news"), [(1.005, False), (0.995, False), (1.02, True), (0.98, True), (0, True)])
+def test_a_change_goes_out_at_once(factor, is_news):
+    """A change of more than one per cent does not wait."""
+    assert sent([PRICE, PRICE, replace(PRICE, share_per_weight=0.1 * factor)]) == [0, *[2] * is_news]
+
+
+def test_small_changes_add_up():
+    """A price that creeps is compared with the one that was sent, not with the last tick's."""
+    assert sent([replace(PRICE, share_per_weight=0.1 * 1.004**tick) for tick in range(7)]) == [0, 3, 6]
+
+
+def test_a_slow_link_is_not_filled_with_prices():
+    """On a link of 8 kbit/s small changes wait for a second, and a deep fall does not."""
+    slow = replace(PRICE, capacity_bytes_per_second=1e3)
+    rising = [replace(slow, share_per_weight=0.1 * 1.05**tick) for tick in range(12)]
+    assert sent(rising) == [0, 10]
+    assert sent([slow, slow, replace(slow, share_per_weight=0.05)]) == [0, 2]

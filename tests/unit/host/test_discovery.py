@@ -1,0 +1,134 @@
+"""Announcements of participants, as Fast DDS sends them, heard without joining the domain."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.host.discovery import (
+    DiscoveryEar,
+    announced_properties,
+    announced_transports,
+    command_name,
+    is_arpd,
+    listen,
+)
+from arpd.report.health import HeardDiscovery
+from tests.waiting import eventually
+
+DOMAIN = 231
+GUID = bytes.fromhex("010f78fd686e94d300000000")
+
+
+def padded(text):
+    data = text.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+
+
+def announcement(properties, *, guid=GUID, kinds=()):
+    """Return an announcement with properties and locators of these kinds (OMG DDSI-RTPS 2.3, 8.5.3)."""
+    pairs = struct.pack("<I", len(properties)) + b"".join(map(padded, [w for pair in properties.items() for w in pair]))
+    parameters = struct.pack("<HH", 0x15, 4) + b"\x02\x02\0\0"
+    parameters += b"".join(struct.pack("<HHiI16x", 0x32, 24, kind, 7410) for kind in kinds)
+    parameters += struct.pack("<HH", 0x59, len(pairs)) + pairs + struct.pack("<HH", 0x01, 0)
+    body = bytes(20) + b"\0\x03\0\0" + parameters
+    stamp = struct.pack("<BBH", 0x09, 1, 8) + bytes(8)
+    return b"RTPS\x02\x02\x01\x0f" + guid + stamp + struct.pack("<BBH", 0x15, 5, len(body)) + body
+
+
+TOLD = {
+    "PARTICIPANT_TYPE": "SIMPLE",
+    "fastdds.physical_data.host": "vm:1716",
+    "fastdds.physical_data.process": "4711",
+}
+
+
+@given(st.binary(max_size=200), st.integers(0, 300))
+def test_no_packet_raises(tail, cut):
+    """Whatever arrives at the port."""
+    for read in (announced_properties, announced_transports):
+        read(b"RTPS" + tail)
+        read(announcement(TOLD, kinds=(1, 4))[:cut] + tail)
+
+
+@given(st.sets(st.sampled_from([1, 2, 4, 8, 16])))
+def test_transports_are_those_of_the_locators_for_discovery(kinds):
+    """Shared memory, which serves one computer only, is none of them."""
+    names = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}
+    assert announced_transports(announcement(TOLD, kinds=kinds)) == {names[kind] for kind in kinds if kind in names}
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "is_arpds"),
+    [
+        (("/opt/ros/jazzy/lib/demo_nodes_cpp/talker", "--ros-args"), "talker", False),
+        (("/usr/bin/python3", "/opt/ros/jazzy/lib/x/listener.py", "-r"), "listener.py", False),
+        (("/usr/lib/arpd/env/bin/python", "/usr/lib/arpd/env/bin/arpd", "run"), "arpd", True),
+        (("python3", "-u", "-m", "arpd.cli", "peer"), "arpd.cli", True),
+        (("/usr/bin/python3", "/home/u/ws/install/arpd/lib/arpd/relay", "--far"), "relay", True),
+        (("/usr/bin/python3", "/home/arpd/relay"), "relay", False),
+        (("python3", "-c", "import arpd"), "python3 -c", False),
+        (("python3",), "python3", False),
+        ((), "", False),
+    ],
+)
+def test_a_process_is_named_by_its_command(command, name, is_arpds):
+    """Scripts and modules by their own names."""
+    assert (command_name(command), is_arpd(command)) == (name, is_arpds)
+
+
+def test_participants_are_counted_once_and_named(tmp_path):
+    """Own ones by their commands, others by what they tell of their hosts, or by their addresses."""
+    (tmp_path / "4711").mkdir()
+    (tmp_path / "4711/cmdline").write_bytes(b"/bin/talker\0--ros-args\0")
+    ear = DiscoveryEar(frozenset({"10.0.0.1"}), proc=tmp_path)
+    ear.take(announcement(TOLD), "10.0.0.1")
+    ear.take(announcement(TOLD), "10.0.0.1")
+    ear.take(announcement(TOLD | {"fastdds.physical_data.host": "laptop:9"}, guid=b"\x02" * 12), "10.0.0.2")
+    ear.take(announcement({}, guid=b"\x03" * 12), "10.0.0.3")
+    ear.take(b"no RTPS at all", "10.0.0.4")
+    heard = ear.heard(domain_id=7, elapsed_s=2.0)
+    assert [(one.host, one.process, one.is_here) for one in heard.announcers] == [
+        ("vm", "talker", True),
+        ("10.0.0.3", "process unknown", False),
+        ("laptop", "process 4711", False),
+    ]
+    packets = (2 * announcement(TOLD), announcement(TOLD) + b"XXXX", announcement({}), b"no RTPS at all")
+    assert heard.bytes_per_second == (sum(map(len, packets)) + 5 * 42) / 2.0
+
+
+@pytest.fixture
+def sender(network):
+    """Send an announcement by multicast on the loopback, again and again."""
+    stopping = threading.Event()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+
+        def send():
+            while not stopping.wait(0.02):
+                out.sendto(announcement(TOLD), ("239.255.0.1", 7400 + 250 * DOMAIN))
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        yield
+        stopping.set()
+        thread.join()
+
+
+def listened(interface, domain_id):
+    heard = listen(interface, domain_id, duration_s=0.1)
+    assert isinstance(heard, HeardDiscovery)
+    return heard
+
+
+def test_what_crosses_the_interface_is_heard(sender):
+    """A real socket hears a real packet on its interface; a domain that nobody uses is silent."""
+    (announcer,) = eventually("the announcement is heard", lambda: listened("lo", DOMAIN).announcers)
+    assert announcer.host == "vm"
+    silent = listened("lo", DOMAIN - 1)
+    assert (silent.announcers, silent.bytes_per_second) == ((), 0.0)

@@ -1,0 +1,179 @@
+"""The journal's native protocol, at a socket of the test."""
+
+from __future__ import annotations
+
+import array
+import logging
+import os
+import socket
+import struct
+from pathlib import Path
+
+import pytest
+
+from arpd.host.journal import MESSAGE_IDS, JournalHandler, log_event
+from arpd.report.events import Event, EventKind, Severity
+
+CATALOG = Path(__file__).parents[3] / "systemd/arpd.catalog"
+
+
+def fields(data):
+    """Return the fields of one entry: `KEY=value`, or `KEY`, a length of 64 bits and the value."""
+    found = {}
+    while data:
+        line, _, rest = data.partition(b"\n")
+        if b"=" in line:
+            name, _, value = line.partition(b"=")
+            data = rest
+        else:
+            name, (length,) = line, struct.unpack("<Q", rest[:8])
+            value, data = rest[8 : 8 + length], rest[9 + length :]
+        assert name not in found
+        found[name.decode()] = value.decode()
+    return found
+
+
+class Journal:
+    """A journald that reads an entry when the test asks."""
+
+    def __init__(self, path):
+        self.path = path
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(path))
+        self.socket.settimeout(60.0)
+
+    def entry(self):
+        """Return one entry, from the datagram or from the file sent with it."""
+        data, ancillary, _, _ = self.socket.recvmsg(1 << 18, socket.CMSG_SPACE(4))
+        if not ancillary:
+            return fields(data)
+        assert data == b""
+        (number,) = array.array("i", ancillary[0][2])
+        with os.fdopen(number, "rb") as file:
+            file.seek(0)
+            return fields(file.read())
+
+    def is_empty(self):
+        self.socket.settimeout(0.0)
+        try:
+            self.socket.recv(1)
+        except BlockingIOError:
+            return True
+        return False
+
+
+@pytest.fixture
+def journal(tmp_path):
+    journal = Journal(tmp_path / "socket")
+    yield journal
+    journal.socket.close()
+
+
+@pytest.fixture
+def pipe():
+    """Return both ends of a stderr that the test may read."""
+    reader, writer = os.pipe()
+    with os.fdopen(reader, "rb", buffering=0) as at, os.fdopen(writer, "w") as stream:
+        yield at, stream
+
+
+@pytest.fixture
+def logger(journal, pipe):
+    handler = JournalHandler("arpd-test", stderr=pipe[1], path=journal.path)
+    log = logging.getLogger("arpd.events")
+    log.addHandler(handler)
+    log.setLevel("DEBUG")
+    log.propagate = False
+    yield log
+    log.removeHandler(handler)
+    log.propagate = True
+    handler.close()
+
+
+def event(**more):
+    return Event(
+        **{
+            "number": 7,
+            "unix_time_s": 1.7e9,
+            "kind": EventKind.PLAN,
+            "severity": Severity.WARNING,
+            "text": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+            "details": {"cause": "down", "level_bytes_per_second": "540000"},
+            **more,
+        }
+    )
+
+
+def test_an_event_is_an_entry_with_its_fields(journal, logger):
+    """Kind, severity, number, topic, node and every detail of an event are fields."""
+    log_event(event(topic="/scan", node="/lidar"))
+    entry = journal.entry()
+    assert {name: text for name, text in entry.items() if name.startswith(("ARPD_", "MESSAGE", "PRIO", "SYSLOG"))} == {
+        "MESSAGE": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+        "PRIORITY": "4",
+        "SYSLOG_IDENTIFIER": "arpd-test",
+        "SYSLOG_FACILITY": "3",
+        "MESSAGE_ID": MESSAGE_IDS[EventKind.PLAN],
+        "ARPD_EVENT": "plan",
+        "ARPD_SEVERITY": "warning",
+        "ARPD_NUMBER": "7",
+        "ARPD_TOPIC": "/scan",
+        "ARPD_NODE": "/lidar",
+        "ARPD_CAUSE": "down",
+        "ARPD_LEVEL_BYTES_PER_SECOND": "540000",
+    }
+
+
+def test_a_message_too_large_for_a_datagram_arrives_whole(journal, logger):
+    """Half a megabyte arrives in a sealed file, as sd_journal_send sends it."""
+    logger.info("x" * 500_000)
+    assert journal.entry()["MESSAGE"] == "x" * 500_000
+
+
+def test_a_journal_that_comes_back_is_found(journal, logger, pipe, tmp_path):
+    """Without a journal, lines go to stderr with their priority; a new journal at the same path gets the next."""
+    journal.socket.close()
+    journal.path.unlink()
+    logger.warning("one\ntwo")
+    assert pipe[0].read(100) == b"<4>one\n<4>two\n"
+    again = Journal(journal.path)
+    logger.warning("three")
+    assert again.entry()["MESSAGE"] == "three"
+    again.socket.close()
+
+
+def test_a_journal_that_hangs_stops_nobody(journal, logger, pipe):
+    """If journal and stderr are full, logging does not wait; it counts the lost lines and reports them later."""
+    for number in range(3_000):
+        logger.warning("line %05d %s", number, "x" * 200)
+    taken = 0
+    while not journal.is_empty():
+        taken += 1
+    written = 0
+    os.set_blocking(pipe[0].fileno(), False)
+    while some := pipe[0].read(1 << 20):
+        written += some.count(b"\n")
+    assert taken > 0
+    assert written > 0
+    assert taken + written < 3_000
+    journal.socket.settimeout(60.0)
+    logger.warning("again")
+    assert journal.entry()["MESSAGE"] == "again"
+    lost = 3_000 - taken - written
+    assert journal.entry()["MESSAGE"] == f"lost {lost} messages, because the journal did not take them"
+
+
+def catalog():
+    """Return the catalog: message id → headers and text."""
+    entries = [entry.split("\n\n", 1) for entry in CATALOG.read_text().split("\n-- ")[1:]]
+    return {head.split("\n")[0]: (head, words) for head, words in entries}
+
+
+def test_the_catalog_explains_every_event():
+    """The catalog has a subject and an explanation for every kind of event, which all have ids of their own."""
+    assert set(MESSAGE_IDS) == set(EventKind)
+    assert len({*MESSAGE_IDS.values()}) == len(EventKind)
+    assert set(catalog()) == set(MESSAGE_IDS.values())
+    for head, words in catalog().values():
+        assert "\nSubject: " in head
+        assert len(words.strip()) > 20

@@ -1,0 +1,100 @@
+"""The radio's bit rate: nl80211's answers as the kernel encodes them, and every reason for an unknown rate."""
+
+import struct
+from errno import ENODEV
+
+import pytest
+
+pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
+
+from pyroute2.netlink.nl80211 import nl80211cmd
+
+from arpd.host.radio import Radio, transmit_rate
+
+# linux/nl80211.h
+ATTR_IFINDEX, ATTR_MAC, ATTR_STA_INFO = 3, 6, 21
+STA_INFO_SIGNAL, STA_INFO_TX_BITRATE, STA_INFO_RX_BITRATE = 7, 8, 14
+RATE_BITRATE, RATE_MCS, RATE_40_MHZ, RATE_SHORT_GI, RATE_BITRATE32, RATE_VHT_MCS, RATE_VHT_NSS = range(1, 8)
+CMD_NEW_STATION = 19
+NESTED = 0x8000
+
+
+def attribute(kind, value, *, nested=False):
+    """Return one netlink attribute: length, type, value, padded to four bytes (netlink(7))."""
+    if nested:
+        kind, value = kind | NESTED, b"".join(value)
+    return struct.pack("HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
+
+
+def rate(kind, *, bitrate=None, bitrate32=None):
+    parts = []
+    if bitrate is not None:
+        parts.append(attribute(RATE_BITRATE, struct.pack("H", bitrate)))
+    if bitrate32 is not None:
+        parts.append(attribute(RATE_BITRATE32, struct.pack("I", bitrate32)))
+    parts += [attribute(RATE_VHT_MCS, b"\x09"), attribute(RATE_VHT_NSS, b"\x02"), attribute(RATE_SHORT_GI, b"")]
+    return attribute(kind, parts, nested=True)
+
+
+def station(*info):
+    """Decode an answer of the kernel about one station."""
+    body = struct.pack("BBH", CMD_NEW_STATION, 1, 0)
+    body += attribute(ATTR_IFINDEX, struct.pack("I", 3)) + attribute(ATTR_MAC, bytes(range(6)))
+    if info:
+        body += attribute(ATTR_STA_INFO, info, nested=True)
+    message = nl80211cmd(struct.pack("IHHII", 16 + len(body), 27, 2, 1, 0) + body)
+    message.decode()
+    return message
+
+
+def test_the_rate_is_told_in_bytes_per_second():
+    """The transmit rate of 866.7 Mbit/s is converted; the receive rate beside it is ignored."""
+    found = station(
+        attribute(STA_INFO_SIGNAL, b"\xc4"),
+        rate(STA_INFO_TX_BITRATE, bitrate=8667, bitrate32=8667),
+        rate(STA_INFO_RX_BITRATE, bitrate=60, bitrate32=60),
+    )
+    assert transmit_rate([found]) == pytest.approx(866.7e6 / 8)
+
+
+@pytest.mark.parametrize(
+    "stations",
+    [
+        [],
+        [station()],
+        [station(attribute(STA_INFO_SIGNAL, b"\xc4"))],
+        [station(rate(STA_INFO_TX_BITRATE, bitrate=0, bitrate32=0))],
+    ],
+)
+def test_a_station_that_tells_no_rate_bounds_nothing(stations):
+    """Without an access point, or before the first frame, which some drivers tell as zero, there is no rate."""
+    assert transmit_rate(stations) is None
+
+
+@pytest.fixture
+def sys_net(tmp_path):
+    (tmp_path / "wlan0" / "phy80211").mkdir(parents=True)
+    (tmp_path / "eth0").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        PermissionError(1, "Operation not permitted"),
+        OSError(ENODEV, "gone"),
+        ImportError("no pyroute2"),
+        KeyError("attr"),
+    ],
+)
+def test_no_fault_of_the_radio_leaves_its_module(sys_net, caplog, fault):
+    """Every fault gives None, and the log names it once while it stays the same."""
+    caplog.set_level("INFO")
+
+    def ask(_index):
+        raise fault
+
+    radio = Radio(ask=ask, sys_net=sys_net)
+    assert [radio.read("wlan0", 3) for _ in range(3)] == [None] * 3
+    assert len(caplog.records) == 1
+    assert type(fault).__name__ in caplog.text

@@ -1,0 +1,55 @@
+"""States of services, as systemctl tells them."""
+
+from __future__ import annotations
+
+import pytest
+
+from arpd.host.services import ServiceState, ask_systemctl, service_states
+
+SHOWN = """\
+ExecMainCode=1
+ExecMainStatus=78
+Result=exit-code
+Id=arpd.service
+LoadState=loaded
+ActiveState=failed
+SubState=failed
+UnitFileState=enabled
+
+ExecMainCode=2
+ExecMainStatus=9
+Result=signal
+Id=arpd-peer.service
+LoadState=not-found
+ActiveState=inactive
+SubState=dead
+UnitFileState=
+"""
+
+
+def test_each_unit_has_its_state():
+    """An exit code counts only where the process exited; a number of a signal is none."""
+
+    def ask(arguments):
+        assert arguments[-2:] == ["arpd", "arpd-peer"]
+        return SHOWN
+
+    states = service_states("arpd", "arpd-peer", ask=ask)
+    assert states == {
+        "arpd": ServiceState(
+            is_installed=True, is_enabled=True, active="failed", sub="failed", result="exit-code", exit_code=78
+        ),
+        "arpd-peer": ServiceState(is_installed=False, is_enabled=False, active="inactive", sub="dead", result="signal"),
+    }
+
+
+@pytest.mark.parametrize("script", [None, "exit 1", "sleep 60"])
+def test_without_systemd_there_are_no_units(tmp_path, monkeypatch, script):
+    """No systemctl, one that fails and one that hangs tell nothing."""
+    if script is not None:
+        (tmp_path / "systemctl").write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / "systemctl").chmod(0o755)
+        monkeypatch.setattr("arpd.host.services._TIMEOUT_S", 0.2)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin" if script else str(tmp_path))
+    assert ask_systemctl(["show"]) == ""
+    assert service_states("arpd") == {}

@@ -1,0 +1,336 @@
+"""One paced queue whose messages cross in chunks: what leaves next onto a link in virtual time, and how much of it."""
+
+import heapq
+import math
+from collections import Counter, defaultdict
+from dataclasses import replace
+from functools import partial
+from itertools import count
+
+import pytest
+
+from arpd.endpoint.lane import SMALL_BYTES, Lane
+from arpd.endpoint.queue import PacedQueue
+from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
+from arpd.model.wire import FRAGMENT_BYTES, wire_size
+from arpd.relay.chunks import Chunks
+from arpd.relay.envelope import Assembly, decode_chunk, split
+from arpd.relay.flight import Flight, Receipt, Received
+
+CAPACITY, OVERHEAD_S = 2.5e6, 1e-4
+LARGE, SMALL = 100_000, 500
+ROW = TopicPlan(
+    rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=1.1 * LARGE, packets=83
+)
+
+
+def price_of(share_per_weight, spare_share=0.0):
+    return Price(
+        share_per_weight=share_per_weight,
+        capacity_bytes_per_second=CAPACITY,
+        packet_overhead_s=OVERHEAD_S,
+        spare_share=spare_share,
+    )
+
+
+class Link:
+    """A queue that sends over a link, and the other end that puts together and confirms."""
+
+    def __init__(self, capacity=CAPACITY):
+        self.capacity = capacity
+        self.now_s = 4290.0  # the µs of its clock wrap after 5 s
+        self.flight, self.received = Flight(), Received()
+        self.queue = PacedQueue(Chunks(7, self.flight), Lane(self.write_together))
+        self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
+        self.events, self.order, self.free_s = [], count(), 0.0
+
+    def lane(self, name, plan=None, price=None, **options):
+        self.lanes[name] = Lane(partial(self.write, name, Assembly()), **options)
+        self.queue.add(self.lanes[name])
+        self.queue.retune(self.lanes[name], plan, price)
+        return self.lanes[name]
+
+    def after(self, wait_s, act):
+        heapq.heappush(self.events, (self.now_s + wait_s, next(self.order), act))
+
+    def offer(self, name, message, **more):
+        self.queue.offer(self.lanes[name], message, self.now_s, **more)
+
+    def publish(self, name, rate_hz, size=LARGE):
+        """Offer a message now and then, for ever."""
+        self.offer(name, bytes(size))
+        self.after(1.0 / rate_hz, partial(self.publish, name, rate_hz, size))
+
+    def take(self):
+        """Return the lane, the place and the size of what leaves now."""
+        if (ready := self.queue.take(self.now_s)) is None:
+            return None
+        chunk = decode_chunk(ready.sample)
+        return ready.lane, chunk.offset, len(chunk.part)
+
+    def confirm_all(self):
+        """Let a probe arrive, and with it all that left before."""
+        self.flight.confirm(Receipt(session=7, number=self.flight.send(33, self.now_s)), self.now_s)
+
+    def run(self, for_s):
+        """Return how much of the link's time each topic took (s)."""
+        before, end_s = self.sent_s.copy(), self.now_s + for_s
+        while self.now_s < end_s:
+            while (ready := self.queue.take(self.now_s)) is not None:
+                ready.lane.write(ready.sample)
+            if self.now_s >= self.received.due_s():
+                receipt = self.received.take(self.now_s)
+                self.after(0.002, lambda receipt=receipt: self.flight.confirm(receipt, self.now_s))
+            due_s = min(end_s, self.queue.due_s(self.now_s), self.received.due_s(), *(at for at, *_ in self.events[:1]))
+            self.now_s = max(due_s, self.now_s + 1e-6)
+            while self.events and self.events[0][0] <= self.now_s:
+                heapq.heappop(self.events)[2]()
+        return self.sent_s - before
+
+    def write(self, name, assembly, sample):
+        size, packets = wire_size(len(sample), rate_hz=math.inf)
+        took_s = size / self.capacity + packets * OVERHEAD_S
+        self.sent_s[name] += took_s
+        self.free_s = max(self.free_s, self.now_s) + took_s
+        self.after(self.free_s - self.now_s + 0.002, partial(self.arrive, name, assembly, sample))
+
+    def write_together(self, sample):
+        for key, message in split(decode_chunk(sample).part):
+            self.arrived[key].append(message)
+
+    def arrive(self, name, assembly, sample):
+        chunk = decode_chunk(sample)
+        self.received.note(chunk.session, chunk.number, chunk.departed_us, len(sample), self.now_s)
+        if (message := assembly.add(chunk)) is not None:
+            self.arrived[name].append(message)
+
+
+def test_small_messages_leave_before_a_large_one_under_way():
+    """A message of ten packets leaves whole though large ones must wait, and these go on where they were."""
+    link = Link()
+    large, small = link.lane("large"), link.lane("small")
+    link.offer("large", bytes(LARGE))
+    parts = sum(part for _, _, part in iter(link.take, None))
+    assert 0 < parts < LARGE
+    link.offer("small", bytes(SMALL_BYTES))
+    assert SMALL_BYTES > 9.9 * FRAGMENT_BYTES
+    assert link.take() == (small, 0, SMALL_BYTES)
+    link.confirm_all()
+    assert link.take()[:2] == (large, parts)
+
+
+def test_a_large_message_is_not_torn_by_newer_ones_and_the_newest_follows():
+    """Each message that begins is finished; of those that came meanwhile only the newest is sent."""
+    link = Link()
+    link.lane("camera")
+    for picture in b"0123":
+        link.offer("camera", bytes([picture]) * LARGE)
+        link.run(0.005)
+    link.run(1.0)
+    assert link.arrived["camera"] == [b"0" * LARGE, b"3" * LARGE]
+
+
+def test_what_follows_an_expired_sample_is_cut_as_any_other():
+    """An old small sample lets no large one out in one piece."""
+    link = Link()
+    link.lane("topic")
+    link.offer("topic", bytes(SMALL), source="one", expires_s=link.now_s + 0.1)
+    link.offer("topic", bytes(LARGE), source="two")
+    link.now_s += 0.2
+    assert link.take()[2] <= 20 * FRAGMENT_BYTES
+
+
+@pytest.mark.parametrize("price", [None, price_of(0.2)], ids=["no daemon", "daemon"])
+def test_large_topics_share_the_link_by_weight(price):
+    """Of two that want all, one with twice the weight gets twice the link."""
+    link = Link()
+    for name, weight in (("one", 1.0), ("two", 2.0)):
+        link.lane(name, price and replace(ROW, weight=weight), price, weight=weight)
+        link.publish(name, 50.0)
+    used_s = link.run(4.0)
+    assert used_s["two"] / used_s["one"] == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "price"), [(0.2, price_of(0.1)), (0.8, price_of(0.4)), (0.5, price_of(0.1, 0.3))])
+@pytest.mark.parametrize("busy", ["ab", "a"])
+def test_the_share_at_the_price_is_used_and_no_more(busy, share, price):
+    """The queue drains at its topics' rates at the price and what is spare; what one leaves another has at once.
+
+    Where no queue stands on the link it takes a seventh more, of the headroom.
+    """
+    link = Link()
+    for name in "ab":
+        link.lane(name, ROW, price)
+    for name in busy:
+        link.publish(name, 50.0)
+    link.run(1.0)
+    assert 0.98 * share < link.run(5.0).total() / 5.0 < 1.16 * share
+
+
+def test_what_is_left_serves_small_topics_beyond_their_rate():
+    """A rate at the price withholds nothing that the link carries."""
+    link = Link()
+    link.lane("tf", replace(ROW, wire_bytes=SMALL, packets=1), price_of(0.003, 0.5))
+    link.publish("tf", 100.0, SMALL)
+    link.run(2.0)
+    assert len(link.arrived["tf"]) >= 195
+
+
+@pytest.mark.parametrize("price", [None, price_of(math.inf, 0.5)], ids=["no daemon", "free link"])
+@pytest.mark.parametrize("size", [SMALL, LARGE])
+def test_max_rate_is_a_cap_on_a_free_link_too(price, size):
+    """A topic with `max_rate_hz` does not exceed it where nothing else wants the link."""
+    link = Link()
+    link.lane("topic", replace(ROW, rate_hz=5.0, wire_bytes=size), price)
+    link.publish("topic", 20.0, size)
+    link.run(10.0)
+    assert len(link.arrived["topic"]) == pytest.approx(51, abs=2)
+
+
+def test_a_large_topic_below_its_floor_comes_first():
+    """A topic of little weight has its minimum rate beside one that wants all."""
+    link = Link()
+    for name, plan in (("busy", ROW), ("rare", replace(ROW, weight=0.01, min_rate_hz=2.0))):
+        link.lane(name, plan, price_of(0.5))
+        link.publish(name, 50.0)
+    link.run(5.0)
+    assert len(link.arrived["rare"]) in {10, 11}
+
+
+def test_a_floor_takes_no_share_from_a_third_topic():
+    """A topic that begins to send while another one is served for its floor has its share at once."""
+    link = Link()
+    for name, plan in (("busy", ROW), ("rare", replace(ROW, weight=0.01, min_rate_hz=1.0)), ("new", ROW)):
+        link.lane(name, plan, price_of(0.4))
+    link.publish("busy", 50.0)
+    link.publish("rare", 1.0)
+    link.run(3.02)
+    link.publish("new", 50.0)
+    used_s = link.run(3.0)
+    assert used_s["new"] == pytest.approx(used_s["busy"], rel=0.1)
+
+
+def test_a_daemon_that_comes_changes_no_shares():
+    """Topics that shared the link without a price share it with one."""
+    link = Link()
+    for name in "ab":
+        link.lane(name)
+        link.publish(name, 50.0)
+        link.run(0.5)
+    for lane in link.lanes.values():
+        link.queue.retune(lane, ROW, price_of(0.4))
+    used_s = link.run(3.0)
+    assert used_s["a"] == pytest.approx(used_s["b"], rel=0.1)
+
+
+def test_without_a_daemon_only_what_is_on_its_way_bounds_the_queue():
+    """As long as receipts come at once nothing waits, also right after the daemon has left."""
+    link = Link()
+    lane = link.lane("map", ROW, price_of(0.0))
+    link.offer("map", bytes(LARGE))
+    link.take()
+    link.queue.retune(lane, None, None)
+    last = None
+    while (taken := link.take()) is not None:
+        last = taken
+        link.confirm_all()
+    assert last is not None
+    assert last[1] + last[2] == LARGE
+
+
+@pytest.mark.parametrize("capacity", [0.12 * CAPACITY, CAPACITY, 2.0 * CAPACITY])
+@pytest.mark.parametrize("price", [None, price_of(math.inf)], ids=["no daemon", "daemon"])
+def test_no_more_than_a_quarter_of_a_second_stands_on_the_link(capacity, price):
+    """A link is used and not flooded, without a daemon and with one that believes in eight times as much."""
+    link = Link(capacity)
+    for name, rate_hz, size in (("tf", 200.0, SMALL), ("camera", 60.0, LARGE)):
+        link.lane(name, price and replace(ROW, wire_bytes=size), price)
+        link.publish(name, rate_hz, size)
+    for _ in range(300):
+        link.run(0.01)
+        assert link.free_s - link.now_s <= 0.25
+    assert link.sent_s.total() > 0.9 * 3.0 * min(1.0, CAPACITY / capacity)
+
+
+def test_after_a_fall_the_queue_on_the_link_is_short_before_a_daemon_knows():
+    """What fills a link that falls to a quarter makes way within 0.6 s, with the old price."""
+    link = Link()
+    link.lane("camera", ROW, price_of(math.inf))
+    link.publish("camera", 60.0)
+    link.run(3.0)
+    link.capacity /= 4.0
+    waits_s = []
+    for _ in range(6):
+        link.run(0.1)
+        waits_s.append(link.free_s - link.now_s)
+    assert min(waits_s) < 0.1 < max(waits_s)
+
+
+def test_after_an_outage_the_newest_of_each_source_leaves_once():
+    """While receipts are missing nothing leaves; when one comes, two sources have a sample each, the newest."""
+    link = Link()
+    tf = link.lane("tf")
+    link.offer("tf", b"")
+    link.take()
+    link.now_s += 0.5
+    for number in range(20):
+        link.offer("tf", bytes(number), source=number % 2)
+        assert link.take() is None
+    link.confirm_all()
+    assert [link.take(), link.take(), link.take()] == [(tf, 0, 18), (tf, 0, 19), None]
+    assert tf.withheld == {"blocked": 18}
+
+
+def test_a_topic_that_is_removed_sends_no_more():
+    """What waits and what is under way is withheld and counted, and the others go on."""
+    link = Link()
+    gone, stays = link.lane("gone"), link.lane("stays")
+    for source in "ab":
+        link.offer("gone", bytes(LARGE), source=source)
+    assert link.take()[0] is gone
+    link.offer("stays", bytes(LARGE))
+    link.queue.remove(gone)
+    assert link.take()[0] is stays
+    assert gone.withheld == {"closed": 2}
+
+
+def loads(link):
+    """Return the topics of each packet that leaves now, and how many others leave alone."""
+    ready = list(iter(lambda: link.queue.take(link.now_s), None))
+    together = [split(decode_chunk(sample).part) for lane, sample in ready if lane not in link.lanes.values()]
+    return [[key for key, _ in load] for load in together], len(ready) - len(together)
+
+
+def test_small_messages_that_come_together_leave_in_one_packet():
+    """The first leaves at once; those that come while it takes the link leave together, and who has no key alone."""
+    link = Link()
+    for name in "abcd":
+        link.lane(name, ROW, price_of(1.0), key=None if name == "d" else name.encode() * 6)
+    link.offer("a", bytes(100))
+    assert loads(link) == ([[b"a" * 6]], 0)
+    for name in "bcd":
+        link.offer(name, bytes(100))
+    assert loads(link) == ([], 1)
+    link.now_s = link.queue.due_s(link.now_s)
+    assert loads(link) == ([[b"b" * 6, b"c" * 6]], 0)
+
+
+def test_no_more_leaves_together_than_one_packet_holds():
+    """What finds no room leaves in the next packet, at once."""
+    link = Link()
+    for name in "abc":
+        link.lane(name, key=name.encode() * 6)
+        link.offer(name, bytes(500))
+    assert loads(link) == ([[b"a" * 6, b"b" * 6], [b"c" * 6]], 0)
+
+
+def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
+    """Its small messages would overtake the large one on another writer."""
+    link = Link()
+    link.lane("scan", key=b"scan  ")
+    for size in (100, 5000, 100):
+        link.offer("scan", bytes(size))
+        assert (loads(link) == ([], 1)) == (size == 5000 or link.lanes["scan"].key is None)
+        link.now_s += 0.1
+    assert link.lanes["scan"].key is None

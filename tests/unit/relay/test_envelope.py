@@ -1,0 +1,168 @@
+"""Samples as they cross the link, in chunks."""
+
+import struct
+from itertools import cycle
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.relay.envelope import (
+    MOST_MESSAGE_BYTES,
+    WRAP,
+    Assembly,
+    Chunk,
+    Record,
+    decode_chunk,
+    encode_chunk,
+    join,
+    pack,
+    split,
+    stamp_of,
+    unpack,
+    wrap,
+)
+
+NUMBERS = st.integers(0, WRAP - 1)
+RECORDS = st.builds(
+    Record,
+    member=st.integers(0, 2**16 - 1),
+    writer=st.integers(0, 2**16 - 1),
+    sequence=st.integers(0, 2**64 - 1),
+    sample=st.binary(max_size=300),
+)
+CHUNKS = st.builds(
+    Chunk,
+    session=NUMBERS,
+    number=NUMBERS,
+    departed_us=NUMBERS,
+    message=NUMBERS,
+    offset=st.integers(0, MOST_MESSAGE_BYTES - 40),
+    total=st.just(MOST_MESSAGE_BYTES),
+    is_kept=st.booleans(),
+    part=st.binary(max_size=40),
+)
+CHUNK = Chunk(session=7, number=1, departed_us=2, message=3, offset=4, total=10, is_kept=False, part=b"abc")
+
+
+def cut(message, size, *, session=7, number=1):
+    """Return the chunks of a message."""
+    whole = CHUNK._replace(session=session, message=number, total=len(message))
+    return [whole._replace(offset=at, part=message[at : at + size]) for at in range(0, max(1, len(message)), size)]
+
+
+@given(st.lists(RECORDS, max_size=4))
+def test_records_arrive_as_they_were_packed(records):
+    """Members, writers, numbers and samples survive."""
+    assert unpack(pack(records)) == records
+
+
+@given(RECORDS, st.data())
+def test_a_record_that_is_cut_off_is_refused(record, data):
+    """Nobody hears a part of a sample."""
+    message = pack([record])
+    with pytest.raises(ValueError, match="relay"):
+        unpack(message[: data.draw(st.integers(1, len(message) - 1))])
+
+
+@given(CHUNKS, st.data())
+def test_a_chunk_arrives_as_it_was_sent_and_no_part_of_it_does(chunk, data):
+    """Every field survives up to its last value; whatever cuts a chunk off, it is refused."""
+    sample = encode_chunk(chunk)
+    assert decode_chunk(sample) == chunk
+    with pytest.raises(ValueError, match="chunk"):
+        decode_chunk(sample[: data.draw(st.integers(0, len(sample) - 1))])
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [
+        encode_chunk(CHUNK._replace(total=6)),
+        encode_chunk(CHUNK._replace(total=MOST_MESSAGE_BYTES + 1)),
+        wrap(b"shorter than a chunk"),
+        b"\0\0" + encode_chunk(CHUNK)[2:],
+        encode_chunk(CHUNK)[:4] + b"\1" + encode_chunk(CHUNK)[5:],
+    ],
+    ids=["beyond its message", "of a message that would fill the memory", "no header", "big endian", "dimensions"],
+)
+def test_a_malformed_chunk_is_refused(sample):
+    """What no end sends is refused, and not put together."""
+    with pytest.raises(ValueError, match="chunk"):
+        decode_chunk(sample)
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_are_a_chunk_or_refused(data):
+    """Bytes of another origin do no harm."""
+    for sample in (data, wrap(data)):
+        try:
+            decode_chunk(sample)
+        except ValueError:
+            continue
+
+
+@given(st.lists(st.tuples(st.binary(max_size=60), st.integers(1, 20)), max_size=5))
+def test_messages_come_together_whole(messages):
+    """Whatever is sent arrives, cut at any size."""
+    assembly = Assembly()
+    chunks = [chunk for number, (each, size) in enumerate(messages) for chunk in cut(each, size, number=number)]
+    found = [message for chunk in chunks if (message := assembly.add(chunk)) is not None]
+    assert found == [message for message, _ in messages]
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1, max_size=6),
+    st.lists(st.sampled_from(["arrives", "arrives", "arrives", "lost", "twice", "foreign"]), min_size=1, max_size=40),
+    st.integers(0, 6),
+)
+def test_nothing_is_torn_and_nothing_doubled(messages, fates, restart):
+    """Chunks that are lost, come twice or are another session's, and a restart: what arrives is whole, and once."""
+    fate, arriving, sent, untouched = cycle(fates), [], [], []
+    for place, (length, size) in enumerate(messages):
+        sent.append(bytes(range(10 * place, 10 * place + length)))
+        session, number = (7, place) if place < restart else (8, place - restart)
+        chunks = cut(sent[-1], size, session=session, number=number)
+        happened = [next(fate) for _ in chunks]
+        for chunk, happens in zip(chunks, happened, strict=True):
+            foreign = chunk._replace(session=99, part=b"\xff" * len(chunk.part))
+            arriving += {"arrives": [chunk], "lost": [], "twice": [chunk] * 2, "foreign": [foreign, chunk]}[happens]
+        if set(happened) == {"arrives"}:
+            untouched.append(sent[-1])
+    assembly = Assembly()
+    found = [assembly.add(chunk) for chunk in arriving]
+    found = [message for message in found if message is not None and set(message) != {255}]
+    assert set(untouched) <= set(found) <= set(sent)
+    assert found == sorted(set(found))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_stamp_is_read_in_either_byte_order(order):
+    """The stamp of a serialized header is seconds and nanoseconds, in the byte order that the sample names."""
+    sample = bytes([0, order == "<", 0, 0]) + struct.pack(order + "iI", 12, 34) + b"rest"
+    assert stamp_of(sample) == (12, 34)
+
+
+@pytest.mark.parametrize("sample", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(8)])
+def test_a_sample_without_a_stamp_is_refused(sample):
+    """Too short a sample, or one in another encoding, has no stamp."""
+    with pytest.raises(ValueError, match="stamp"):
+        stamp_of(sample)
+
+
+def test_chunks_are_messages_of_ros():
+    """What crosses the link is a serialized UInt8MultiArray."""
+    rclpy = pytest.importorskip("rclpy.serialization", reason="ROS 2 is not installed")
+    from std_msgs.msg import UInt8MultiArray
+
+    assert bytes(rclpy.deserialize_message(wrap(b"abc"), UInt8MultiArray).data) == b"abc"
+    assert bytes(rclpy.deserialize_message(encode_chunk(CHUNK), UInt8MultiArray).data).endswith(b"abc")
+
+
+@given(st.lists(st.tuples(st.binary(min_size=6, max_size=6), st.binary(max_size=300))))
+def test_what_was_joined_splits_again(messages):
+    """Each message comes out with its key, and what is cut off is refused."""
+    joined = join(messages)
+    assert split(joined) == messages
+    if messages:
+        with pytest.raises(ValueError, match="left together"):
+            split(joined[:-1])

@@ -1,0 +1,142 @@
+"""What is on its way across the link: never too much of it, and an outage is noticed."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.relay.envelope import WRAP
+from arpd.relay.flight import Flight, Receipt, Received
+
+ABROAD_S = 12_345.6  # how far the receiver's clock is ahead
+
+
+class Ends:
+    """A sender and a receiver; nothing arrives by itself."""
+
+    def __init__(self):
+        self.now_s = 4294.0  # the µs of this clock wrap within a second
+        self.flight, self.received = Flight(), Received()
+        self.on_way = []
+
+    def send(self, size=1000):
+        self.on_way.append((self.flight.send(size, self.now_s), size, self.now_s))
+
+    def confirm(self, chunks):
+        """Let the oldest chunks arrive, and a receipt for them."""
+        there_s = self.now_s + ABROAD_S
+        for number, size, sent_s in self.on_way[:chunks]:
+            self.received.note(7, number, int(sent_s * 1e6) % WRAP, size, there_s)
+        del self.on_way[:chunks]
+        self.flight.confirm(self.received.take(there_s), self.now_s)
+
+
+STEPS = st.tuples(st.floats(0.0, 0.1), st.booleans(), st.integers(60, 16_000), st.integers(0, 10))
+
+
+@given(st.sampled_from([None, 1e5, 2.5e6]), st.lists(STEPS, min_size=1, max_size=60))
+def test_no_more_is_unconfirmed_than_the_window_and_a_chunk(capacity, steps):
+    """Whatever is sent and confirmed when: large chunks stay within a window, small messages within three."""
+    ends = Ends()
+    ends.flight.capacity = capacity
+    for wait_s, is_small, size, arriving in steps:
+        ends.now_s += wait_s
+        ends.confirm(arriving)
+        while ends.flight.has_room(is_small=is_small):
+            ends.send(size)
+            most = (3.0 if is_small else 1.0) * ends.flight.window_bytes + size
+            assert sum(size for _, size, _ in ends.on_way) <= most
+
+
+def test_no_more_is_on_its_way_than_a_quarter_of_a_second_of_the_capacity():
+    """However fast a burst seems to arrive, the capacity that the daemon tells bounds what follows."""
+    ends = Ends()
+    ends.flight.capacity = 1e6
+    for _ in range(20):
+        ends.send(100_000)
+        ends.now_s += 0.01
+        ends.confirm(1)
+    while ends.flight.has_room(is_small=True):
+        ends.send(1000)
+    assert len(ends.on_way) <= 250
+
+
+@given(st.floats(0.001, 0.2), st.integers(1, 30), st.integers(0, 3))
+def test_an_outage_is_noticed_in_time_and_ends_with_a_receipt(trip_s, trips, unconfirmed):
+    """The link is out 0.4 s and the usual trip after the last receipt, until there is another one."""
+    ends = Ends()
+    for _ in range(trips):
+        ends.send()
+        ends.now_s += trip_s
+        for _ in range(unconfirmed):
+            ends.send()
+        ends.confirm(1)
+    ends.send()
+    assert not ends.flight.is_out(ends.now_s + 0.399)
+    assert ends.flight.is_out(ends.now_s + 0.4 + trip_s + 0.001)
+    ends.now_s += 10.0
+    ends.flight.confirm(Receipt(session=7, number=WRAP - 1), ends.now_s)  # of before: nothing new has arrived
+    assert ends.flight.is_out(ends.now_s)
+    ends.confirm(1)
+    assert not ends.flight.is_out(ends.now_s)
+
+
+def test_an_idle_link_is_never_out():
+    """Silence while nothing is on its way is no outage, and what leaves after it has time to arrive."""
+    ends = Ends()
+    assert not ends.flight.is_out(ends.now_s)
+    ends.send()
+    ends.confirm(1)
+    ends.now_s += 86_400.0
+    assert not ends.flight.is_out(ends.now_s)
+    ends.send()
+    assert not ends.flight.is_out(ends.now_s + 0.39)
+
+
+def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
+    """After a restart of the other end sending goes on."""
+    ends = Ends()
+    while ends.flight.has_room(is_small=True):
+        ends.send()
+    ends.now_s += 1.0
+    assert ends.flight.is_out(ends.now_s)
+    ends.flight.restart()
+    assert not ends.flight.is_out(ends.now_s)
+    assert ends.flight.has_room(is_small=False)
+
+
+@given(st.integers(0, WRAP - 1), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
+def test_an_age_is_the_lateness_whatever_the_clocks_say(offset_us, delays):
+    """A chunk is as old as it is later than the fastest before it, with any offset of clocks that wrap."""
+    received = Received()
+    sent = [(4294.0 + number / 10.0, delay_s) for number, delay_s in enumerate(delays)]
+    fastest_s = math.inf
+    for sent_s, delay_s in sorted(sent, key=sum):
+        fastest_s = min(fastest_s, delay_s)
+        departed_us = (int(sent_s * 1e6) + offset_us) % WRAP
+        age_s = received.note(7, 1, departed_us, 100, sent_s + delay_s)
+        assert age_s == pytest.approx(delay_s - fastest_s, abs=1e-5)
+
+
+def test_numbers_and_bytes_wrap_and_begin_anew_with_a_session():
+    """A receipt names the newest chunk and counts on beyond the last number; of a restarted sender it knows nothing."""
+    received = Received()
+    received.note(6, 1000, 0, 500, 1.0)
+    for number, size in ((WRAP - 2, WRAP - 10), (0, 20), (WRAP - 1, 5), (1, 5)):
+        received.note(7, number, 0, size, 1.0)
+    receipt = received.take(1.0)
+    assert (receipt.session, receipt.number, receipt.received) == (7, 1, 20)
+
+
+@pytest.mark.parametrize(("size", "soon_s"), [(10_000, 0.02), (100, 0.1)])
+def test_what_arrives_is_confirmed_soon_and_once(size, soon_s):
+    """Much is confirmed within 20 ms and little within 100 ms of the receipt before; nothing new, never."""
+    received = Received()
+    assert received.due_s() == math.inf
+    received.note(7, 1, 0, size, 5.0)
+    assert received.due_s() <= 5.0
+    received.take(5.0)
+    assert received.due_s() == math.inf
+    received.note(7, 2, 0, size, 5.001)
+    assert 5.001 < received.due_s() <= 5.0 + soon_s + 1e-9

@@ -1,0 +1,117 @@
+"""Selection of what crosses the link."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.settings import RelaySettings
+from arpd.relay.selection import Selection, far_name, robot_name
+
+OWN = ("/rosout", "/parameter_events", "/arpd/price", "/arpd/peer/report", "/arpd/set_parameters")
+PARTS = {"feedback": "topic", "status": "topic", "send_goal": "call", "cancel_goal": "call", "get_result": "call"}
+
+
+def test_by_default_every_topic_crosses_and_no_service():
+    """The defaults carry what is read and call nothing."""
+    selection = Selection.of(RelaySettings())
+    for topic in ("/scan", "/camera/left/image", "/tf_static"):
+        assert selection.to_base(topic)
+        assert selection.to_robot(topic)
+        assert not selection.may_call(topic)
+
+
+def test_each_direction_has_its_patterns():
+    """What may cross in one direction need not cross in the other."""
+    selection = Selection.of(RelaySettings(to_base=("/camera/**", "/scan"), to_robot=("/cmd_vel",)))
+    assert selection.to_base("/camera/left/image")
+    assert selection.to_base("/scan")
+    assert not selection.to_base("/cmd_vel")
+    assert selection.to_robot("/cmd_vel")
+    assert not selection.to_robot("/scan")
+
+
+def test_services_are_named():
+    """A service may be called if a pattern matches it."""
+    selection = Selection.of(RelaySettings(services=("/map_server/*",)))
+    assert selection.may_call("/map_server/load_map")
+    assert not selection.may_call("/map_server")
+    assert not selection.may_call("/planner/make_plan")
+
+
+@pytest.mark.parametrize(("part", "kind"), PARTS.items())
+def test_an_action_crosses_whole(part, kind):
+    """Three services and two topics of an allowed action cross in both directions, and nothing else of it."""
+    selection = Selection.of(RelaySettings(to_base=(), to_robot=(), actions=("/nav/*",)))
+    name = f"/nav/go/_action/{part}"
+    answers = (selection.to_base(name), selection.to_robot(name), selection.may_call(name))
+    assert answers == ((True, True, False) if kind == "topic" else (False, False, True))
+    for other in (f"/arm/go/_action/{part}", f"/nav/go/{part}", f"/nav/go/_action/{part}2", f"/nav/_x/_action/{part}"):
+        assert not any((selection.to_base(other), selection.to_robot(other), selection.may_call(other)))
+
+
+def test_deny_stops_an_action_by_its_name():
+    """Denying an action denies its parts."""
+    selection = Selection.of(RelaySettings(actions=("/nav/*",), deny=("/nav/go",)))
+    assert not selection.may_call("/nav/go/_action/send_goal")
+    assert not selection.to_robot("/nav/go/_action/status")
+    assert selection.may_call("/nav/stop/_action/send_goal")
+
+
+LEVEL = st.sampled_from(["a", "b", "arpd", "_action", "_a", "feedback", "status", "send_goal", "rosout"])
+NAME = st.lists(LEVEL, min_size=1, max_size=4).map(lambda levels: "/" + "/".join(levels)) | st.sampled_from(OWN)
+PATTERN = st.lists(LEVEL | st.sampled_from(["*", "**"]), min_size=1, max_size=4).map(
+    lambda levels: "/" + "/".join(levels)
+)
+PATTERNS = st.lists(PATTERN, max_size=3).map(tuple)
+SETTINGS = st.builds(
+    RelaySettings, to_base=PATTERNS, to_robot=PATTERNS, deny=PATTERNS, services=PATTERNS, actions=PATTERNS
+)
+
+
+def answers(selection, name):
+    return selection.to_base(name), selection.to_robot(name), selection.may_call(name)
+
+
+@given(SETTINGS, st.sampled_from(OWN))
+def test_nothing_of_ros_or_arpd_crosses(settings, name):
+    """No pattern carries a topic of ROS or arpd itself."""
+    assert not any(answers(Selection.of(settings), name))
+
+
+@given(SETTINGS, NAME)
+def test_what_is_denied_never_crosses(settings, name):
+    """`deny` wins over every other pattern."""
+    denied = RelaySettings(
+        to_base=settings.to_base,
+        to_robot=settings.to_robot,
+        services=settings.services,
+        actions=settings.actions,
+        deny=(*settings.deny, name),
+    )
+    assert not any(answers(Selection.of(denied), name))
+
+
+@given(SETTINGS, NAME)
+def test_a_hidden_name_crosses_as_a_part_of_an_action_only(settings, name):
+    """Hidden names pass no pattern of topics and services."""
+    without = RelaySettings(to_base=settings.to_base, to_robot=settings.to_robot, services=settings.services)
+    if "/_" in name:
+        assert not any(answers(Selection.of(without), name))
+    if "/_" in name and any(answers(Selection.of(settings), name)):
+        assert name.rpartition("/")[0].endswith("/_action")
+
+
+@given(st.sampled_from(["", "/r1", "/fleet/r1"]), NAME)
+def test_a_name_comes_back_from_the_base(namespace, name):
+    """The two names of a topic belong together."""
+    assert robot_name(far_name(name, namespace), namespace) == name
+
+
+def test_names_outside_the_namespace_have_no_name_on_the_robot():
+    """The other robots' topics on the base computer are not this robot's."""
+    assert far_name("/scan", "/r1") == "/r1/scan"
+    assert far_name("/scan", "") == "/scan"
+    assert robot_name("/scan", "") == "/scan"
+    assert [robot_name(name, "/r1") for name in ("/r1", "/r10/scan", "/r2/scan", "/scan")] == [None] * 4

@@ -1,0 +1,46 @@
+"""Sets of samples with one stamp."""
+
+import struct
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.relay.envelope import Record
+from arpd.relay.sets import Sets
+
+
+def sample(member, stamp):
+    return Record(member, member, stamp, b"\0\1\0\0" + struct.pack("<iI", 0, stamp))
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=40), st.randoms())
+def test_only_whole_sets_leave_and_each_once(given_by, random):
+    """Of any mixture of topics, each in its own order, sets leave whole, in order, and none that misses a sample."""
+    queues = [[sample(m, k) for k, present in enumerate(given_by) if present[m]] for m in range(3)]
+    sets, left = Sets({0, 1, 2}), []
+    while any(queues):
+        queue = random.choice([queue for queue in queues if queue])
+        if (whole := sets.add(queue.pop(0))) is not None:
+            left.append(whole)
+    expected = [k for k, present in enumerate(given_by) if all(present)]
+    assert left == [[sample(member, k) for member in range(3)] for k in expected]
+
+
+def test_a_set_needs_only_the_members_that_are_wanted():
+    """Where two of three topics are read, sets of those two leave."""
+    sets = Sets({0, 2})
+    assert sets.add(sample(0, 1)) is None
+    assert sets.add(sample(1, 1)) is None
+    assert sets.add(sample(2, 1)) == [sample(0, 1), sample(2, 1)]
+
+
+def test_samples_of_sets_that_stay_incomplete_are_counted():
+    """A complete set drops the older ones, and too many begun sets drop the oldest."""
+    sets = Sets({0, 1})
+    for stamp in range(5):
+        sets.add(sample(0, stamp))
+    assert sets.add(sample(1, 4)) is not None
+    assert sets.dropped == 4
+    for stamp in range(10, 10 + 65):
+        sets.add(sample(0, stamp))
+    assert sets.dropped == 5

@@ -1,0 +1,262 @@
+"""What a node tells of its publishers and its relay: it arrives unchanged, stays small, and nothing else is taken."""
+
+import json
+import random
+import zlib
+from dataclasses import fields, replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapPhase, SwapRecord, WithheldCause
+from arpd.model.plan import PlanAnswer
+from arpd.model.relay import RelaySummary, RelayTopics
+from arpd.relay.ends.summary import topics_of
+from arpd.relay.offers import EndState, ServiceOffer, TopicOffer
+from arpd.ros.documents import unpack
+from arpd.ros.node_snapshot import MOST_BYTES, MOST_OF_NODE, decode_snapshot, encode_snapshot
+from tests.examples import examples
+from tests.sample_publishers import publisher
+
+PLAIN = publisher("/n", "/t", direction=Direction.LOCAL)
+LATCHED = publisher(
+    "/n",
+    "/t",
+    direction=Direction.LOCAL,
+    refusal="it is TRANSIENT_LOCAL",
+    refusal_reason=RefusalReason.TRANSIENT_LOCAL,
+    keeps_all=True,
+)
+REPLACED = publisher(
+    "/n",
+    "/t",
+    direction=Direction.LOCAL,
+    lacks_profile=True,
+    generation=3,
+    lease_s=30.0,
+    published_rate_hz=7.25,
+    rate_hz=12.5,
+    paced_rate_hz=7.5,
+    withheld=1500,
+    withheld_by_cause={cause.value: 100 * number for number, cause in enumerate(WithheldCause, start=1)},
+    deadlines_missed=4,
+    swaps_begun=3,
+    swaps_by_result={"ok": 2},
+    swap_seconds_by_phase={phase.value: 12.5 for phase in SwapPhase},
+    last_swap=SwapRecord(
+        number=2,
+        result="ok",
+        depth=365,
+        deadline_ns=178_571_429,
+        seconds_by_phase={"matching": 3.00125, "proving": 0.0325},
+    ),
+)
+ANSWER = PlanAnswer(3, 30.0, 4, "/t: depth = 0")
+RELAY = RelaySummary(
+    other_host="base",
+    is_reachable=True,
+    fault="it speaks version 2",
+    to_base=RelayTopics(offered=4, wanted=2, refused={"/odd": "no such type"}),
+    to_robot=RelayTopics(offered=2, wanted=1),
+    received=1000,
+    doubled=3,
+    unknown=2,
+    incomplete=7,
+    calls_failed={"timeout": 5},
+    strangers=("rviz",),
+    types_differ={"/scan": "it is A there and B here"},
+)
+FULL = encode_snapshot("/n", [REPLACED], answer=ANSWER, lacks_profile=True, relay=RELAY)
+texts = st.text(max_size=2000)
+
+
+def states(snapshot):
+    return [PublisherState(**row) for row in snapshot.publishers]
+
+
+@pytest.mark.parametrize("state", [PLAIN, LATCHED, REPLACED], ids=["plain", "refused", "swapped"])
+def test_a_publisher_is_read_as_it_was_told(state):
+    """Encoding and decoding changes nothing; plan, lease and profile are those of the node."""
+    answer = PlanAnswer(state.generation, state.lease_s)
+    data = encode_snapshot("/n", [state], answer=answer, lacks_profile=state.lacks_profile)
+    assert states(decode_snapshot(data)) == [state]
+
+
+@pytest.mark.parametrize("relay", [RELAY, RelaySummary(), None], ids=["full", "empty", "none"])
+def test_the_answer_and_the_relay_arrive(relay):
+    """So do the node's name, its answer to plans, and the summary of a relay."""
+    found = decode_snapshot(encode_snapshot("/n", [], answer=ANSWER, relay=relay))
+    assert (found.node, found.answer, found.relay) == ("/n", ANSWER, relay)
+
+
+def test_twenty_busy_publishers_take_less_than_two_kilobytes():
+    """A snapshot of 20 publishers whose numbers all differ fits into two packets."""
+    draw = random.Random(1)
+    busy = [
+        replace(
+            REPLACED,
+            topic=f"/robot/{draw.randrange(10**6)}/command",
+            offered=draw.randrange(10**7),
+            published=draw.randrange(10**7),
+            source_rate_hz=100 * draw.random(),
+            published_rate_hz=100 * draw.random(),
+            paced_rate_hz=100 * draw.random(),
+            blocked_s=100 * draw.random(),
+        )
+        for _ in range(20)
+    ]
+    assert len(encode_snapshot("/planner", busy, answer=ANSWER)) < 2000
+
+
+def test_numbers_beyond_all_bounds_do_not_silence_a_node():
+    """What the daemon would refuse is cut to what it takes."""
+    absurd = replace(PLAIN, depth=10**7, payload_bytes=1e300, source_rate_hz=1e9, offered=2**70)
+    (found,) = states(decode_snapshot(encode_snapshot("/n", [absurd])))
+    assert (found.depth, found.source_rate_hz, found.offered) == (10**5, 1e5, 2**63 - 1)
+    assert found.payload_bytes == pytest.approx(2.0**30, rel=1e-5)
+
+
+def test_words_of_others_do_nothing_to_a_terminal():
+    """Every text of a snapshot is printable."""
+    lurid = replace(LATCHED, refusal="\x1b[2J\nno", type_name="a\x07")
+    (state,) = states(decode_snapshot(encode_snapshot("/n", [lurid], answer=PlanAnswer(refusal="\x1b"))))
+    assert state.refusal.isprintable()
+    assert state.type_name.isprintable()
+
+
+def spoilt(name, value):
+    """Return a snapshot whose row, or head, has another value."""
+    document = unpack(FULL, most_bytes=MOST_BYTES)
+    order = ["topic", "type_name", "baseline_depth", "depth", "offered", "published", "payload_bytes"]
+    order += ["source_rate_hz", "published_rate_hz", "rate_hz", "paced_rate_hz", "deadline_ns", "blocked_s"]
+    order += ["withheld_by_cause", "queued", "swaps_begun", "swaps_by_result", "swap_seconds_by_phase", "last_swap"]
+    if name in order:
+        document["publishers"][0][order.index(name)] = value
+    else:
+        document[name] = value
+    return json.dumps(document).encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("payload_bytes", 1e12),
+        ("source_rate_hz", 1e9),
+        ("source_rate_hz", "1"),
+        ("blocked_s", 1e300),
+        ("rate_hz", -1),
+        ("paced_rate_hz", True),
+        ("depth", 0),
+        ("depth", 1000000),
+        ("queued", 2**63),
+        ("queued", 1.0),
+        ("topic", "/n/é"),
+        ("topic", 7),
+        ("type_name", 7),
+        ("withheld_by_cause", {"invented": 1}),
+        ("withheld_by_cause", {"price": -1}),
+        ("swaps_by_result", {"x" * 1000: 1}),
+        ("swap_seconds_by_phase", [1]),
+        ("last_swap", []),
+        ("last_swap", [1, "ok", -3, 0, {}]),
+        ("last_swap", [1, "invented", 3, 0, {}]),
+        ("node", "no name"),
+        ("answer", {}),
+        ("answer", [2**60, 0.0, 0, ""]),
+        ("answer", [3, 1e10, 0, ""]),
+        ("publishers", {}),
+        ("publishers", [[]]),
+        ("publishers", [None]),
+        ("publishers", [["/t", "t", 1, 1]] * (MOST_OF_NODE + 1)),
+        ("lacks_profile", 1),
+        ("relay", {"other_host": 7}),
+        ("relay", ["base", 1]),
+    ],
+)
+def test_what_no_node_tells_is_refused(name, value):
+    """A snapshot with one absurd value is refused as a whole."""
+    with pytest.raises(ValueError, match=r"."):
+        decode_snapshot(spoilt(name, value))
+
+
+@given(st.binary(max_size=100), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255)), max_size=6))
+@examples(60)
+def test_any_bytes_are_a_snapshot_or_refused(noise, spoils):
+    """Whatever arrives, only ValueError is raised."""
+    plain = json.dumps(unpack(FULL, most_bytes=MOST_BYTES)).encode()
+    for data in (bytearray(FULL), bytearray(plain)):
+        for index, value in spoils:
+            data[index % len(data)] = value
+        for each in (noise, bytes(data)):
+            try:
+                found = states(decode_snapshot(each))
+            except ValueError:
+                continue
+            assert all(state.depth >= 1 for state in found)
+
+
+BOMBS = {
+    "long": zlib.compress(b" " * 10**7),
+    "deep": b"[" * 10**5,
+    "number": zlib.compress(b"1" * 10**6),
+    "list": b"[1]",
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS.values(), ids=BOMBS)
+def test_what_grows_when_it_is_read_is_refused(bomb):
+    """Neither a text that is long when it is unpacked, nor one that is deep, takes memory or time."""
+    with pytest.raises(ValueError, match=r"."):
+        decode_snapshot(bomb)
+
+
+@given(st.dictionaries(texts, texts, max_size=30), st.lists(texts, max_size=30), texts)
+@examples(40)
+def test_whatever_names_a_relay_has_its_summary_is_understood(named, strangers, fault):
+    """Long, many and unprintable names are cut and shown."""
+    topics = RelayTopics(offered=500, refused=named)
+    told = RelaySummary(
+        fault=fault, to_base=topics, to_robot=topics, types_differ=named, strangers=tuple(strangers), other_host=fault
+    )
+    relay = decode_snapshot(encode_snapshot("/n", [], relay=told)).relay
+    assert relay is not None
+    assert relay.to_base.offered == 500
+    assert bool(relay.to_base.refused) is bool(named)
+    assert relay.fault.isprintable()
+
+
+def test_every_field_of_a_publisher_is_told_or_known_otherwise():
+    """A new field of a publisher must be told, or come from the node, the graph or the time of arrival."""
+    (row,) = decode_snapshot(encode_snapshot("/n", [PLAIN])).publishers
+    joined = {"remote_readers", "requested_deadline_ns", "announced_at_s"}
+    assert row.keys() | joined == {field.name for field in fields(PublisherState)}
+
+
+def offer(*names):
+    return {name: TopicOffer(type_name="t/msg/T", writers=(), link_name=name) for name in names}
+
+
+def test_each_refusal_counts_in_its_direction():
+    """An end refuses what enters its side, or, where nobody offers that there, what leaves it."""
+    here = EndState(
+        session="1",
+        number=1,
+        topics=offer("/imu", "/odd"),
+        wants=frozenset({"/cmd", "/gone"}),
+        refused={"/cmd": "a", "/odd": "b", "/plan": "c"},
+    )
+    there = EndState(
+        session="2",
+        number=1,
+        topics=offer("/cmd", "/goal"),
+        services={"/plan": ServiceOffer(type_name="s/srv/S", node="/n")},
+        wants=frozenset({"/imu"}),
+        refused={"/imu": "d", "/goal": "e"},
+    )
+    refused = {"/cmd": "a", "/plan": "c", "/goal": "e"}
+    assert topics_of(here, there) == RelayTopics(offered=2, wanted=1, refused={"/odd": "b", "/imu": "d"})
+    assert topics_of(there, here) == RelayTopics(offered=2, wanted=1, refused=refused)

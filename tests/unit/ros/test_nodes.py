@@ -1,0 +1,128 @@
+"""Nodes and their publishers, as the daemon counts them."""
+
+from types import SimpleNamespace
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.endpoints import Direction
+from arpd.ros.nodes import MOST_NODES, MOST_PUBLISHERS, SILENT_S, Nodes
+from tests.examples import examples
+
+
+def snapshot(node, *topics, **fields) -> Any:
+    neutral = {"type_name": "t", "direction": Direction.LOCAL, "payload_bytes": 0.0, "source_rate_hz": 0.0}
+    usual = {**neutral, "node": node, "depth": 10, "baseline_depth": 10, **fields}
+    return SimpleNamespace(
+        node=node, publishers=[{**usual, "topic": topic} for topic in topics], relay=None, answer=None
+    )
+
+
+def everybody(_node, _topic):
+    return True
+
+
+def topics(nodes, now_s):
+    return [state.topic for state in nodes.live(now_s)]
+
+
+def test_a_publisher_counts_once_the_graph_has_shown_it():
+    """A publisher is pending until the graph shows it, and gone when its node falls silent."""
+    nodes = Nodes()
+    nodes.note(b"1", snapshot("/n", "/real", "/invented"), 0.0)
+    assert (topics(nodes, 0.1), nodes.pending) == ([], 2)
+    nodes.see(lambda _node, topic: topic == "/real")
+    assert (topics(nodes, 0.2), nodes.pending) == (["/real"], 1)
+    nodes.see(lambda _node, _topic: False)  # as for some seconds behind a bad link
+    nodes.note(b"1", snapshot("/n", "/real", "/invented"), 1.0)
+    assert topics(nodes, 1.1) == ["/real"]
+    assert (topics(nodes, 1.1 + SILENT_S), nodes.pending) == ([], 0)
+
+
+def test_a_node_that_returns_counts_from_its_own_numbers():
+    """A restarted node has another writer: its numbers replace those of its predecessor at once."""
+    nodes = Nodes()
+    nodes.note(b"1", snapshot("/n", "/a", "/gone", published=100), 0.0)
+    nodes.note(b"2", snapshot("/n", "/a", published=1), 1.0)
+    nodes.see(everybody)
+    assert nodes.pending == 0
+    assert {state.topic: (state.published, state.announced_at_s) for state in nodes.live(1.1)} == {
+        "/a": (1, 1.0),
+        "/gone": (100, 0.0),
+    }
+    assert topics(nodes, 0.1 + SILENT_S) == ["/a"]
+
+
+def test_the_picture_is_the_same_until_something_changes():
+    """The same tuple returns until a node tells something, the graph changes or a node expires."""
+    nodes = Nodes()
+    nodes.note(b"1", snapshot("/n", "/a"), 0.0)
+    nodes.see(everybody)
+
+    def joined(_node, _topic):
+        return {"direction": Direction.SENSING}
+
+    first = nodes.live(0.1, joined)
+    assert first[0].direction is Direction.SENSING
+    assert nodes.live(0.2, joined) is first
+    nodes.note(b"1", snapshot("/n", "/a"), 1.0)
+    assert nodes.live(1.1, joined) is not first
+
+
+def test_entries_are_bounded():
+    """Nodes and publishers beyond all bounds are left out; those that are known stay."""
+    nodes = Nodes()
+    full = [f"/t{number}" for number in range(MOST_PUBLISHERS)]
+    assert nodes.note(b"1", snapshot("/n", *full), 0.0)
+    assert not nodes.note(b"2", snapshot("/m", "/t"), 0.0)
+    assert nodes.note(b"1", snapshot("/n", "/t"), 0.0)
+    assert sum(nodes.note(f"w{k}".encode(), snapshot(f"/n{k}"), 0.0) for k in range(2 * MOST_NODES)) == MOST_NODES - 1
+    nodes.see(everybody)
+    assert topics(nodes, 0.1) == ["/t"]
+
+
+def test_inventions_give_way_to_what_the_graph_shows():
+    """When invented publishers fill all entries, a real node replaces them; real ones stay."""
+    nodes = Nodes()
+    nodes.see(lambda node, _topic: node == "/honest")
+    assert nodes.note(b"1", snapshot("/honest", "/first"), 0.0)
+    many = [f"/t{number}" for number in range(MOST_PUBLISHERS // 2)]
+    assert [nodes.note(writer, snapshot("/invented", *many), 0.1) for writer in (b"2", b"3")] == [True, False]
+    assert nodes.note(b"4", snapshot("/honest", *many), 0.2)
+    assert len(nodes.live(0.3)) == 1 + len(many)
+
+
+def test_the_newest_summary_of_a_relay_counts():
+    """The daemon sees the relay's last summary while its end tells one."""
+    nodes = Nodes()
+    for at_s, (writer, relay) in enumerate([(b"1", "old"), (b"2", "new"), (b"3", None)]):
+        said = snapshot("/n")
+        said.relay = relay
+        nodes.note(writer, said, float(at_s))
+    assert nodes.relay(2.0) == "new"
+    assert nodes.relay(1.1 + SILENT_S) is None
+
+
+@examples(40)
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans(), st.floats(0, 4)), max_size=60))
+def test_nothing_lives_that_was_not_both_shown_and_told(events):
+    """At any order of events, a live publisher was shown once and told lately, and no other one is missing."""
+    nodes = Nodes()
+    now_s, told = 0.0, {}
+    shown: frozenset[Any] = frozenset()
+    for node, topic, is_graph, pause_s in events:
+        now_s += pause_s
+        key = (f"/n{node}", f"/t{topic}")
+        nodes.live(now_s)  # forgets who is silent
+        if is_graph:
+            shown = shown ^ {key}
+        else:
+            nodes.note(key[0].encode(), snapshot(*key), now_s)
+            told[key[0]] = key[1], now_s
+        if is_graph:
+            nodes.see(lambda *known, shown=shown: known in shown)
+        live = {(state.node, state.topic) for state in nodes.live(now_s)}
+        lately = {(name, last) for name, (last, at_s) in told.items() if now_s - at_s <= SILENT_S}
+        assert live <= lately
+        assert shown & lately <= live

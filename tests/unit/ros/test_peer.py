@@ -1,0 +1,124 @@
+"""The peer in virtual time: when it reports, and what."""
+
+from __future__ import annotations
+
+from itertools import count
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.serialization import serialize_message
+
+from arpd.estimate.receiver import PROMPT_S, QUIET_S
+from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.ros.peer import Peer, default_name
+from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.ros.raw_reader import Sample
+
+SIZE = 1200
+ON_THE_WAY_S = 0.003
+
+
+class World:
+    """An interface that receives 100 packets of 10 bytes a second, and the daemon across the link."""
+
+    def __init__(self):
+        self.now_s = 100.0
+        self.has_interface = True
+        self.reports = []
+        self._numbers = count(1)
+        self._peer = Peer(self._publish, reader=self, name="base-3f2a", clock=lambda: self.now_s)
+
+    def _publish(self, message):
+        self.reports.append(decode_report(bytes(message.data), received_at_s=self.now_s))
+
+    # -- the interface
+
+    def read(self):
+        if not self.has_interface:
+            return None
+        packets = round((self.now_s - 100.0) * 100)
+        return LinkCounters(
+            interface="wlan0",
+            rx_bytes=10 * packets,
+            rx_packets=packets,
+            tx_bytes=0,
+            tx_packets=0,
+            tx_dropped=0,
+            state=InterfaceState.UP,
+        )
+
+    # -- the daemon
+
+    def ping(self, quiet_s=0.0):
+        """Send a probe of one packet."""
+        header = ProbeHeader(train=next(self._numbers), index=0, packets=1, quiet_s=quiet_s)
+        sent_s = self.now_s - ON_THE_WAY_S
+        data = serialize_message(encode_probe(header, payload_bytes=SIZE))
+        self._peer.hear(Sample(data, b"writer", header.train, round(sent_s * 1e9), round(self.now_s * 1e9)))
+
+    def pass_time(self, seconds):
+        until_s = self.now_s + seconds
+        while (due_s := self._peer.step()) <= until_s:
+            self.now_s = max(self.now_s, due_s)
+        self.now_s = until_s
+
+    def collect(self, seconds, every_s=None):
+        """Return the reports of a duration, with a ping every ``every_s``."""
+        self.reports.clear()
+        for _ in range(round(seconds / every_s) if every_s else 1):
+            if every_s:
+                self.ping()
+            self.pass_time(every_s or seconds)
+        return list(self.reports)
+
+
+@pytest.fixture
+def world():
+    return World()
+
+
+@pytest.mark.parametrize(("every_s", "period_s"), [(None, QUIET_S), (0.1, 0.1), (0.4, 0.2), (PROMPT_S / 4, PROMPT_S)])
+def test_pings_set_the_pace_of_reports(world, every_s, period_s):
+    """Without pings there are four reports a second, with more pings one for each, up to a bound."""
+    world.collect(1.0, every_s)
+    assert len(world.collect(10.0, every_s)) == pytest.approx(10.0 / period_s, rel=0.03)
+
+
+def test_a_ping_may_ask_for_fewer_reports(world):
+    """Reports without a cause are as rare as the last ping allowed."""
+    world.ping(quiet_s=1.0)
+    world.pass_time(0.5)
+    assert len(world.collect(10.0)) == 10
+    world.ping()
+    assert len(world.collect(10.0)) == pytest.approx(40, abs=1)
+
+
+def test_every_byte_and_every_moment_is_reported_once(world):
+    """Received bytes and time are split over the reports without gap or overlap."""
+    reports = world.collect(20.0, every_s=0.1)
+    assert sum(report.rx_packets for report in reports) == pytest.approx(2000, abs=25)
+    assert all(report.rx_bytes == 10 * report.rx_packets for report in reports)
+    assert sum(report.interval_s for report in reports) == pytest.approx(20.0, abs=QUIET_S)
+    assert {report.peer for report in reports} == {"base-3f2a"}
+
+
+def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on(world):
+    """Without the interface, reports go on with delays and without bytes; what came meanwhile is no burst."""
+    world.collect(1.0, every_s=0.1)
+    world.has_interface = False
+    reports = world.collect(1.0, every_s=0.1)
+    assert len(reports) >= 9
+    assert all(report.delays_s for report in reports)
+    assert sum(report.rx_bytes for report in reports) == 0
+    world.has_interface = True
+    assert all(report.delays_s for report in world.collect(1.0, every_s=0.1))
+
+
+def test_two_peers_tell_themselves_apart(monkeypatch):
+    """Hosts with the same host name have different peer names by their interface's address."""
+    addresses = {"wlan0": "b827eb123f2a", "wlan1": "b827eb99c001", "tun0": ""}
+    monkeypatch.setattr("arpd.ros.peer.hardware_address", addresses.__getitem__)
+    monkeypatch.setattr("arpd.ros.peer.platform.node", lambda: "base")
+    assert [default_name(interface) for interface in addresses] == ["base-3f2a", "base-c001", "base"]

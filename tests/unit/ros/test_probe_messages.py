@@ -1,0 +1,73 @@
+"""Probes and reports survive their wire format, and other bytes are refused."""
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("std_msgs", reason="ROS 2 is not installed")
+
+from arpd.model.probing import PeerReport, Train
+from arpd.ros.probe_messages import ProbeHeader, decode_probe, decode_report, encode_probe, encode_report
+
+REPORT = PeerReport(
+    peer="base-3f2a",
+    received_at_s=12.5,
+    interval_s=0.125,
+    rx_bytes=250_000,
+    rx_packets=180,
+    delays_s=(-1.7e9 + 0.001234567, 3.217),
+    trains=(Train(payload_bytes=15_400, duration_s=0.0078125, sent_s=0.0009765625, packets=11),),
+    last_probe=4711,
+    probe_packets=12_345,
+)
+
+
+def decode(message, *, received_at_s=0.0):
+    return decode_report(bytes(message.data), received_at_s=received_at_s)
+
+
+def test_a_report_comes_back_as_it_was():
+    """Counters, delays, trains with their departures, and the name of the peer."""
+    assert decode(encode_report(REPORT), received_at_s=12.5) == REPORT
+
+
+def test_a_report_of_another_version_or_length_is_refused():
+    """The first byte tells the version, and the counts tell the length."""
+    message = bytes(encode_report(REPORT).data)
+    for broken in (b"\x02" + message[1:], *(message[:size] for size in (0, 1, 23, 24, len(message) - 1))):
+        with pytest.raises(ValueError, match="peer report"):
+            decode_report(broken, received_at_s=0.0)
+
+
+def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
+    """Clocks half a century apart leave a delay as precise as any."""
+    reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
+    early, late = (decode(encode_report(report)).delays_s[0] for report in reports)
+    assert late - early == pytest.approx(1e-5, abs=1e-6)
+
+
+def test_any_other_bytes_are_refused_or_read_as_finite_numbers():
+    """Any bytes give a report with finite numbers, or a ValueError."""
+    chance = random.Random(5)
+    whole = bytes(encode_report(REPORT).data)
+    for _ in range(2000):
+        data = bytearray(whole[: chance.randrange(len(whole) + 1)] if chance.random() < 0.5 else whole)
+        for _ in range(chance.randrange(4)):
+            if data:
+                data[chance.randrange(len(data))] = chance.randrange(256)
+        try:
+            decoded = decode_report(bytes(data), received_at_s=0.0)
+        except ValueError:
+            continue
+        assert all(math.isfinite(delay) for delay in decoded.delays_s)
+        assert all(math.isfinite(train.rate_bytes_per_second) for train in decoded.trains)
+
+
+def test_a_probe_says_its_place():
+    """A probe's header comes back, and its payload has the requested size."""
+    header = ProbeHeader(train=2**32 + 7, index=3, packets=12)
+    message = encode_probe(header, payload_bytes=1300)
+    assert len(message.data) == 1300
+    assert decode_probe(bytes(message.data)) == replace(header, train=7)

@@ -1,0 +1,69 @@
+"""Abilities of a middleware, by its name."""
+
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import pytest
+
+from arpd.model.endpoints import Direction
+from arpd.model.errors import RosUnavailableError
+from arpd.relay.ends.run import check_middleware, profile_variables
+from arpd.ros.crossing import Crossing, crossing
+from arpd.ros.rmw import current_rmw, rmw_of
+
+MS = 1_000_000
+
+
+@pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
+def test_fast_dds_is_swapped(name):
+    """On Fast DDS swaps are on and hosts are known."""
+    rmw = current_rmw(identifier=lambda: name, environ={})
+    assert (rmw.name, rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (name, True, True, "")
+
+
+def test_under_sros2_guids_tell_no_hosts():
+    """With security on Fast DDS still swaps, but its GUIDs have the enclave in place of the host."""
+    rmw = current_rmw(identifier=lambda: "rmw_fastrtps_cpp", environ={"ROS_SECURITY_ENABLE": "true"})
+    assert (rmw.can_swap, rmw.tells_hosts, rmw.refusal) == (True, False, "")
+
+
+@pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
+def test_what_was_not_measured_is_only_paced(name):
+    """On any other middleware swaps are refused by name, and its GIDs tell no hosts."""
+    rmw = rmw_of(name)
+    assert not rmw.can_swap
+    assert not rmw.tells_hosts
+    assert rmw.refusal.startswith(f"{name} is only paced")
+
+
+@pytest.mark.parametrize(("name", "is_able"), [("rmw_fastrtps_cpp", True), ("rmw_cyclonedds_cpp", False)])
+def test_two_ends_refuse_a_middleware_that_hears_itself(name, is_able):
+    """Two ends start on Fast DDS; on another middleware they name it and end."""
+    with nullcontext() if is_able else pytest.raises(RosUnavailableError, match=name):
+        check_middleware(rmw_of(name))
+
+
+@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
+def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(name):
+    """Only the variable that is set is named."""
+    assert profile_variables({"PATH": "/bin", name: "/a.xml"}) == name
+
+
+def endpoint(process, deadline_ns=0):
+    return SimpleNamespace(participant=process, deadline_ns=deadline_ns, node="")
+
+
+def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
+    """Where hosts are unknown, a reader in another process counts as sensing, with one copy."""
+    found = crossing(
+        writers=[endpoint(b"a")],
+        readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)],
+        robot_host=None,
+    )
+    assert found == Crossing(
+        direction=Direction.SENSING,
+        remote_readers=1,
+        requests=(("", 0), ("", 5 * MS), ("", 9 * MS)),
+        writers=frozenset({""}),
+    )
+    assert found.tightest_request_ns == 5 * MS

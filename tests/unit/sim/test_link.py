@@ -1,0 +1,175 @@
+"""The link in virtual time: rate, overhead, loss, hidden queue, and conservation of packets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.sim.aggregation import _MOST_AIR_S
+from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.loss import GilbertElliott, LossStep
+from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.service import Service
+from arpd.sim.timeline import Timeline
+from tests.examples import examples
+
+ORIGIN_S = 1000.0
+FRAME_BYTES = 1514
+MBIT = 125_000.0
+END_S = 1.5  # of a link that is kept busy
+
+
+def schedule_of(*steps):
+    return RateSchedule(steps=tuple(RateStep(start_s=s, rate_bytes_per_second=r) for s, r in steps))
+
+
+def carried(schedule, from_s, until_s):
+    """Return the bytes that the schedule allows between two moments of run time, by plain summation."""
+    edges = sorted({from_s, until_s, *(s.start_s for s in schedule.steps if from_s < s.start_s < until_s)})
+    return sum((end - start) * schedule.rate_at(max(0.0, start)) for start, end in pairwise(edges))
+
+
+@dataclass
+class Bench:
+    """A link under test, and the run time at which each datagram was sent and arrived."""
+
+    schedule: RateSchedule
+    model: LinkModel
+    seed: int = 1
+    sent: dict[int, tuple[float, float]] = field(default_factory=dict)
+    arrived: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.timeline = Timeline(ORIGIN_S)
+        self.link = SimulatedLink(
+            self.timeline, self.schedule, origin_s=ORIGIN_S, model=self.model, random=Random(self.seed)
+        )
+
+    @property
+    def now_s(self):
+        return self.timeline.now_s - ORIGIN_S
+
+    def send(self, wire_bytes, packets=1):
+        number = len(self.sent)
+        self.sent[number] = (self.now_s, wire_bytes)
+        return self.link.send(wire_bytes, packets, lambda: self.arrived.__setitem__(number, self.now_s))
+
+    def run_until(self, t_s):
+        self.timeline.run_until(ORIGIN_S + t_s)
+
+    def saturate(self, wire_bytes, until_s, *, every_s):
+        """Send packets at a fixed interval."""
+        while self.now_s < until_s:
+            self.send(wire_bytes)
+            self.run_until(self.now_s + every_s)
+
+
+rates = st.one_of(st.just(0.0), st.floats(1e4, 1e7))
+schedules = st.tuples(
+    st.floats(1e4, 1e7), st.lists(st.tuples(st.floats(0.01, 1.0), rates), max_size=4), st.floats(1e4, 1e7)
+).map(
+    lambda t: schedule_of(
+        (0.0, t[0]),
+        *((sum(gap for gap, _ in t[1][: i + 1]), rate) for i, (_, rate) in enumerate(t[1])),
+        (sum(gap for gap, _ in t[1]) + 0.5, t[2]),
+    )
+)
+MODEL = {
+    "delay_s": st.floats(0.0, 0.05),
+    "queue_bytes": st.integers(0, 100_000),
+    "packet_overhead_s": st.sampled_from([0.0, 0.0001, 0.003]),
+    "aggregate_packets": st.sampled_from([1, 4, 64]),
+    "firmware_bytes": st.sampled_from([0, 5_000, 60_000]),
+}
+models = st.builds(
+    LinkModel,
+    loss=st.sampled_from([0.0, 0.2]),
+    outages=st.sampled_from([(), ((0.2, 0.5),)]),
+    losses=st.sampled_from([(), (LossStep(start_s=0.3, loss=0.5), LossStep(start_s=0.6, loss=0.0))]),
+    bursts=st.sampled_from([None, GilbertElliott(good_s=0.1, bad_s=0.05)]),
+    **MODEL,
+)
+sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)
+
+
+# -- on any link
+
+
+@examples(150)
+@given(schedules, models, sends, st.integers(0, 5))
+def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, seed):
+    """Every packet is dropped, lost or received; counters never fall, and the host's queue keeps within its size."""
+    bench = Bench(schedule, model, seed)
+    link = bench.link
+    before = 0.0, 0.0
+    for gap_s, packet_bytes, packets in offered:
+        bench.run_until(bench.now_s + gap_s)
+        bench.send(packet_bytes * packets, packets)
+        assert link.backlog_bytes <= model.queue_bytes + FRAME_BYTES + 1e-3
+        counters = link.sent_bytes, link.received_bytes()
+        assert all(now >= then - 1e-3 for now, then in zip(counters, before, strict=True))
+        assert link.received_bytes() <= link.sent_bytes + 1e-3
+        before = counters
+    bench.run_until(bench.now_s + 60.0)
+    assert link.sent_packets + link.dropped_packets == sum(packets for _, _, packets in offered)
+    assert link.sent_packets == link.received_packets + link.lost_packets
+    assert link.lost_packets or link.received_bytes() == pytest.approx(link.sent_bytes, abs=1e-3)
+    assert link.backlog_bytes == pytest.approx(0.0, abs=1e-3)
+    assert link.queue_delay_s == pytest.approx(0.0, abs=1e-6)
+
+
+# -- rate
+
+
+@examples(60)
+@given(schedules, st.lists(st.floats(0.0, 6.0), min_size=1, max_size=20))
+def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
+    """`by` is the integral of the rate and `when` its first inverse, in any order of questions."""
+    service = Service(schedule, ORIGIN_S)
+    for t_s in moments:
+        size = service.by(ORIGIN_S + t_s)
+        assert size == pytest.approx(carried(schedule, 0.0, t_s), abs=1e-3)
+        first_s = service.when(size + 1.0) - ORIGIN_S
+        assert carried(schedule, t_s, first_s) == pytest.approx(1.0, abs=1e-2)
+        # Right beside a step the sum with the origin may round to its other side.
+        if min(abs(t_s - step.start_s) for step in schedule.steps) > 1e-6:
+            assert service.rate_at(ORIGIN_S + t_s) == schedule.rate_at(t_s)
+
+
+# -- overhead, aggregates, firmware
+
+
+@pytest.mark.parametrize("aggregate_packets", [2, 8, 64])
+def test_aggregates_share_the_overhead(aggregate_packets):
+    """An aggregate of n packets costs one overhead, so goodput nears C as n grows, within the limit of 802.11."""
+    overhead_s, rate, packet_bytes = 0.0005, 20 * MBIT, 1000
+    model = LinkModel(packet_overhead_s=overhead_s, aggregate_packets=aggregate_packets)
+    bench = Bench(schedule_of((0.0, rate)), model)
+    bench.saturate(packet_bytes, END_S, every_s=0.5 * packet_bytes / rate)
+    size = min(aggregate_packets, int(_MOST_AIR_S * rate / packet_bytes)) * packet_bytes
+    goodput = bench.link.received_bytes() / END_S
+    assert goodput == pytest.approx(size / (overhead_s + size / rate), rel=0.02)
+    assert goodput < rate * _MOST_AIR_S / (_MOST_AIR_S + overhead_s)
+
+
+@pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])
+def test_firmware_hides_what_it_holds(model):
+    """The host counts bytes in the firmware as sent and sees no backlog, but packets wait for them."""
+    bench = Bench(schedule_of((0.0, 1000.0)), LinkModel(firmware_bytes=5000, queue_bytes=3000, **model))
+    for _ in range(5):
+        bench.send(1000)
+    assert bench.link.backlog_bytes == 0.0
+    assert bench.link.sent_bytes == 5000.0
+    assert bench.link.queue_delay_s >= 5.0
+    bench.send(1000)
+    assert bench.link.backlog_bytes == 1000.0
+    assert bench.link.sent_bytes == 5000.0
+    for _ in range(9):
+        bench.send(1000)
+    assert bench.link.dropped_packets == 6
+    assert bench.link.backlog_bytes == 4000.0

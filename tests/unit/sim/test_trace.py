@@ -1,0 +1,144 @@
+"""Link traces: both formats, and faults with line and column."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.model.errors import TraceError
+from arpd.sim.trace import read_trace
+from tests.examples import examples
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(content):
+        path = tmp_path / "link.trace"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def steps_of(trace):
+    return [(step.start_s, step.rate_bytes_per_second) for step in trace.rates.steps]
+
+
+def total_bytes(trace):
+    """Return the bytes that the trace carries in its duration."""
+    ends = [step.start_s for step in trace.rates.steps[1:]] + [trace.duration_s]
+    return sum(
+        step.rate_bytes_per_second * (end - step.start_s) for step, end in zip(trace.rates.steps, ends, strict=True)
+    )
+
+
+# -- CSV
+
+EXAMPLE = """time_s,rate_bit_per_s,loss
+0,20000000,0
+12.5,5e6,0.01
+# a tunnel
+30, 0, 1
+
+31,20000000,0
+"""
+
+
+def test_the_documented_csv_reads_as_its_rows(written):
+    """Rates become bytes per second; comments, blank lines and spaces around values are ignored."""
+    trace = read_trace(written(EXAMPLE))
+    assert trace.name == "link.trace"
+    assert steps_of(trace) == [(0.0, 2_500_000.0), (12.5, 625_000.0), (30.0, 0.0), (31.0, 2_500_000.0)]
+    assert [(step.start_s, step.loss) for step in trace.losses] == [(0.0, 0.0), (12.5, 0.01), (30.0, 1.0), (31.0, 0.0)]
+    assert trace.duration_s == 31.0
+    assert not trace.repeats
+
+
+# -- mahimahi
+
+
+def test_a_mahimahi_trace_becomes_mean_rates(written):
+    """Each span of 20 ms, and the shorter last one, gets the mean rate of its deliveries of 1500 bytes."""
+    trace = read_trace(written("0\n1\n20\n45\n"))
+    assert steps_of(trace) == [(0.0, 225_000.0), (0.02, 0.0), (0.04, 300_000.0)]
+    assert trace.duration_s == 0.045
+    assert trace.repeats
+    assert trace.losses == ()
+
+
+@examples(100)
+@given(st.lists(st.integers(0, 500), min_size=1, max_size=200).filter(any), st.integers(1, 5))
+def test_no_delivery_is_lost_or_invented(tmp_path_factory, moments, turns):
+    """The trace carries 1500 bytes per line in its duration, and n times as many in n durations."""
+    path = tmp_path_factory.mktemp("trace") / "t.up"
+    path.write_text("".join(f"{moment}\n" for moment in sorted(moments)))
+    trace = read_trace(path)
+    assert trace.duration_s == max(moments) / 1000.0
+    assert total_bytes(trace) == pytest.approx(1500.0 * len(moments), rel=1e-12)
+    longer = trace.lasting((turns - 0.5) * trace.duration_s)
+    assert longer.duration_s == pytest.approx(turns * trace.duration_s)
+    assert total_bytes(longer) == pytest.approx(1500.0 * len(moments) * turns, rel=1e-9)
+
+
+# -- faults
+
+HEADER = "time_s,rate_bit_per_s,loss\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "place", "words"),
+    [
+        ("# nothing\n\n", ":1:1: ", "empty"),
+        ("\n  12.5\n", ":2:3: ", "'12.5'"),
+        ("time_s,rate\n", ":1:8: ", "'rate'"),
+        ("time_s\n0\n", ":1:7: ", "no rate"),
+        ("time_s,rate_bit_per_s,loss,delay\n", ":1:28: ", "'delay'"),
+        (HEADER, ":1:27: ", "no row"),
+        (HEADER + "0,1e6\n", ":2:6: ", "2 values; write 3"),
+        (HEADER + "0,1e6,0,9\n", ":2:9: ", "4 values; write 3"),
+        (HEADER + "0,1e6,\n", ":2:7: ", "loss ''"),
+        (HEADER + "0, fast,0\n", ":2:4: ", "rate_bit_per_s 'fast'"),
+        (HEADER + "0,1_000,0\n", ":2:3: ", "rate_bit_per_s '1_000'"),
+        (HEADER + "0,nan,0\n", ":2:3: ", "rate_bit_per_s 'nan'"),
+        (HEADER + "0,-1,0\n", ":2:3: ", "-1 is out of range; write a number from 0 to 1e+12"),
+        (HEADER + "0,1e999,0\n", ":2:3: ", "1e999 is out of range"),
+        (HEADER + "0,1e6,1.5\n", ":2:7: ", "1.5 is out of range"),
+        (HEADER + "1,1e6,0\n", ":2:1: ", "start at 0"),
+        (HEADER + "0,1e6,0\n\n5,1e6,0\n3,1e6,0\n", ":5:1: ", "3 s comes after 5 s"),
+        (HEADER + "0,1e6,0\n0,2e6,0\n", ":3:1: ", "0 s comes after 0 s"),
+        ("5\n 6,7\n", ":2:2: ", "'6,7'"),
+        ("5\n10000000001\n", ":2:1: ", "'10000000001'"),
+        ("5\n\u0667\n", ":2:1: ", "'\u0667'"),
+        ("5\n9\n8\n", ":3:1: ", "8 ms comes after 9 ms"),
+        ("0\n0\n", ":1:1: ", "no time"),
+        (b"time_s,rate_bit_per_s\n0,\xff\n", ":2:3: ", "UTF-8"),
+    ],
+)
+def test_a_bad_trace_is_refused_where_it_goes_wrong(written, content, place, words):
+    """The message names file, line and column, the fault and the way out."""
+    path = written(content)
+    with pytest.raises(TraceError) as refused:
+        read_trace(path)
+    assert str(refused.value).startswith(f"{path}{place}")
+    assert words in str(refused.value)
+
+
+@examples(300)
+@given(
+    st.one_of(
+        st.binary(max_size=60),
+        st.text(max_size=60),
+        st.text("0123456789,.-+e# \n\r", max_size=60),
+        st.text("0123456789,.-+e \n", max_size=60).map(lambda rest: HEADER + rest),
+    )
+)
+def test_whatever_a_file_holds_it_is_a_trace_or_refused(tmp_path_factory, content):
+    """Any content raises TraceError or gives a trace that can be played."""
+    path = tmp_path_factory.mktemp("trace") / "t"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode(errors="surrogatepass"))
+    try:
+        trace = read_trace(path)
+    except TraceError:
+        return
+    assert trace.lasting(2 * trace.duration_s).rates.rate_at(0.0) >= 0.0

@@ -1,0 +1,117 @@
+"""The API's documents against their schemas, and against the keys of earlier versions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from arpd.daemon import scenario
+from arpd.daemon.tick import Daemon
+from arpd.model.allocation import AllocationStatus
+from arpd.report.events import Event, EventKind, Severity
+from arpd.report.history import History, history_json
+from arpd.report.status import status_document
+from arpd.sim.demo import demo_settings
+from arpd.sim.link import LinkModel
+from arpd.sim.schedule import RateSchedule
+from arpd.web.answers import SCHEMA_PATHS
+from arpd.web.api.schemas import schema_of
+
+KEYS = Path(__file__).parents[2] / "golden" / "api-v1-keys.txt"
+SCHEMAS = {name: json.loads(schema_of(name)) for name in SCHEMA_PATHS.values()}
+EVENT = Event(
+    number=7,
+    unix_time_s=1.7e9,
+    kind=EventKind.PLAN,
+    severity=Severity.WARNING,
+    text="link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+    details={"generation": "3"},
+)
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Run a daemon for a while over a simulated link with a drop and an outage."""
+    made = []
+
+    class Watched(Daemon):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            made.append(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario, "Daemon", Watched)
+        schedule = RateSchedule.parse("0:20mbit,1:5mbit")
+        model = LinkModel(outages=((1.5, 2.0),))
+        scenario.run(demo_settings(), schedule, 3.0, seed=1, managed=True, model=model)
+    return made[0]
+
+
+@pytest.fixture
+def documents(sample_snapshot, simulated):
+    """Return documents of every kind of daemon, by name: (status, history)."""
+    history = History()
+    history.note(sample_snapshot)
+    told = replace(sample_snapshot, events=(EVENT,))
+    observation = replace(sample_snapshot.observation, publishers=(), counters=None, peer_ages_s={}, rmw="", taken=None)
+    allocation = replace(sample_snapshot.allocation, topics=(), status=AllocationStatus.EMPTY)
+    empty = replace(sample_snapshot, observation=observation, allocation=allocation)
+    return {
+        "golden": (status_document(told, now_s=1000.25), history_json(history.samples, (EVENT,))),
+        "simulated": (
+            status_document(simulated.snapshot),
+            history_json(simulated.history.samples, simulated.snapshot.events),
+        ),
+        "empty": (status_document(empty, is_ready=False), history_json((), ())),
+    }
+
+
+def strict(schema):
+    """Return the schema, but a key it does not describe is a fault."""
+    if isinstance(schema, list):
+        return [strict(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    closed = {"additionalProperties": False} if "properties" in schema else {}
+    return closed | {key: strict(value) for key, value in schema.items()}
+
+
+def described(schema, root, path=""):
+    """Yield every key that the schema describes, as a path, with its part of the schema."""
+    for way in ("allOf", "anyOf"):  # pydantic writes "or null" so
+        schema = {**next((each for each in schema.get(way, ()) if each.get("type") != "null"), {}), **schema}
+    if "$ref" in schema:
+        schema = {**root["$defs"][schema["$ref"].removeprefix("#/$defs/")], **schema}
+    yield path, schema
+    for key, inner in schema.get("properties", {}).items():
+        yield from described(inner, root, f"{path}.{key}")
+    if isinstance(schema.get("items"), dict):
+        yield from described(schema["items"], root, f"{path}.[]")
+
+
+@pytest.mark.parametrize("kind", ["golden", "simulated", "empty"])
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_documents_fit_their_schema_and_hold_nothing_else(documents, kind, name):
+    """Status and history of a full, a simulated and an empty daemon are valid, and every key is described."""
+    status, history = documents[kind]
+    document = json.loads(json.dumps(status, allow_nan=False)) if name == "status" else json.loads(history)
+    faults = [
+        f"{error.json_path}: {error.message}"
+        for error in Draft202012Validator(strict(SCHEMAS[name])).iter_errors(document)
+    ]
+    assert not faults
+
+
+def test_keys_of_v1_are_only_added():
+    """Every key that v1 ever had is there and required; a new one adds its line to the list."""
+    now = []
+    for name, schema in SCHEMAS.items():
+        for path, inner in described(schema, schema):
+            keys = inner.get("properties", {})
+            assert set(inner.get("required", ())) == set(keys), f"{name}{path}"
+            now += [f"{name}{path}"] if path and not path.endswith("[]") else []
+    assert sorted(now) == sorted(KEYS.read_text().split())

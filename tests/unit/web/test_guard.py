@@ -1,0 +1,150 @@
+"""The HTTP server's guards: whose connection gives way, and passwords."""
+
+from __future__ import annotations
+
+import base64
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.web.connection_limit import MAX_PER_CLIENT, MAX_PLACES, client_of, contested
+from arpd.web.passwords import (
+    BURST,
+    MAX_WAITING,
+    Passwords,
+    PasswordVerdict,
+    bcrypt_matches,
+    parse_basic,
+)
+from tests.examples import examples
+from tests.unit.web_world import HASH, PASSWORD, Clock
+from tests.waiting import eventually
+
+# -- connection limit
+
+
+def test_a_client_at_its_share_gives_up_its_own_oldest():
+    """One client cannot fill the limit, and evicts its own connections only."""
+    clients = ["b", *["a"] * MAX_PER_CLIENT]
+    assert contested(clients, "a") == list(range(1, MAX_PER_CLIENT + 1))
+    assert contested(clients, "c") == []
+
+
+def test_when_all_places_are_taken_the_client_with_most_gives_up_its_oldest():
+    """A newcomer evicts a connection of the client that floods."""
+    clients = ["scraper", *["a"] * 15, *["b"] * 10, *["c"] * (MAX_PLACES - 26)]
+    assert contested(clients, "new")[0] == 1
+    assert contested(clients, "scraper")[0] == 1
+    assert contested(clients, "new")[-1] == 0
+
+
+@pytest.mark.parametrize(
+    ("address", "client"),
+    [
+        ("192.0.2.1", "192.0.2.1"),
+        ("::ffff:192.0.2.1", "192.0.2.1"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+        ("odd", "odd"),
+    ],
+)
+def test_whoever_has_many_addresses_counts_once(address, client):
+    """An IPv6 host may take any address of its /64."""
+    assert client_of(address) == client
+
+
+# -- passwords
+
+
+class Bcrypt:
+    """Counts runs; the hash of a password is its reverse."""
+
+    def __init__(self):
+        self.runs = []
+
+    def __call__(self, password, hashed):
+        self.runs.append((password, hashed))
+        return password == hashed[::-1]
+
+
+@pytest.fixture
+def passwords():
+    return Passwords(clock=Clock(), secret=b"s" * 32, check=Bcrypt())
+
+
+def basic(name, password):
+    return b"Basic " + base64.b64encode(f"{name}:{password}".encode())
+
+
+USERS = {b"alice": b"ecila", b"bob": b"bob"}
+
+
+def test_an_unknown_name_costs_what_a_known_one_does(passwords):
+    """An unknown name runs bcrypt once against a real hash, the same each time, and is never right."""
+    for password in ("x", "ecila", "bob", "alice"):
+        assert passwords.judge({b"alice": b"ecila"}, basic("mallory", password), "a") is PasswordVerdict.WRONG
+    assert [hashed for _, hashed in passwords._check.runs] == [b"ecila"] * 4
+    assert passwords._good == {}
+
+
+def test_who_guesses_waits_and_who_is_remembered_does_not(passwords):
+    """After a burst a client has one guess a second; other clients and remembered passwords do not wait."""
+    passwords.judge(USERS, basic("alice", "alice"), "a")
+    verdicts = [passwords.judge(USERS, basic("alice", str(i)), "a") for i in range(int(BURST) + 3)]
+    assert verdicts == [PasswordVerdict.WRONG] * int(BURST) + [PasswordVerdict.THROTTLED] * 3
+    assert passwords.judge(USERS, basic("alice", "alice"), "a") is PasswordVerdict.CACHED
+    assert passwords.judge(USERS, basic("bob", "bob"), "b") is PasswordVerdict.OK
+    passwords._clock.now_s = 1.0
+    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.WRONG
+    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.THROTTLED
+
+
+def test_few_wait_for_bcrypt_and_one_runs():
+    """Further requests are refused, so that guesses cannot use up the connection limit."""
+    finish = threading.Event()
+    running, most = [], []
+
+    def slow(_password, _hashed):
+        running.append(1)
+        most.append(len(running))
+        finish.wait()
+        running.pop()
+        return False
+
+    passwords = Passwords(clock=Clock(), secret=b"s", check=slow)
+    verdicts = []
+
+    def guess(number):
+        verdicts.append(passwords.judge(USERS, basic("alice", "x"), str(number)))
+
+    threads = [threading.Thread(target=guess, args=(number,)) for number in range(MAX_WAITING + 3)]
+    for thread in threads:
+        thread.start()
+    eventually("the last three are refused", lambda: verdicts.count(PasswordVerdict.BUSY) == 3)
+    finish.set()
+    for thread in threads:
+        thread.join()
+    assert sorted(verdicts) == [PasswordVerdict.BUSY] * 3 + [PasswordVerdict.WRONG] * MAX_WAITING
+    assert max(most) == 1
+
+
+def test_bcrypt_is_the_real_one():
+    """Every prefix of exporters' hashes, passwords beyond 72 bytes and odd hashes raise no error."""
+    assert bcrypt_matches(PASSWORD.encode(), HASH.encode())
+    assert bcrypt_matches(PASSWORD.encode(), HASH.replace("$2b$", "$2y$").encode())
+    assert not bcrypt_matches(b"x" * 100, HASH.encode())
+    assert not bcrypt_matches(b"a\0b", HASH.encode())
+    assert not bcrypt_matches(b"a", b"$2a$04$" + b"z" * 53)
+
+
+@examples(100)
+@given(name=st.binary(max_size=20).filter(lambda n: b":" not in n), password=st.binary(max_size=80), noise=st.binary())
+def test_credentials_come_back_as_they_went_and_noise_does_no_harm(name, password, noise):
+    """Names and passwords of any bytes are parsed; any other header gives None or two byte strings."""
+    header = b"bAsIc  " + base64.b64encode(name + b":" + password)
+    assert parse_basic(header) == (name, password)
+    for odd in (noise, b"Basic " + noise, header + noise):
+        got = parse_basic(odd)
+        assert got is None or len(got) == 2

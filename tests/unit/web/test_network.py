@@ -1,0 +1,290 @@
+"""The HTTP server under TLS, users, floods and noise, with real sockets on loopback."""
+
+from __future__ import annotations
+
+import base64
+import json
+import random
+import socket
+import ssl
+import threading
+import time
+from contextlib import suppress
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
+
+import pytest
+
+from arpd.cli.main import main
+from arpd.web.connection_limit import MAX_PER_CLIENT
+from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
+from tests.waiting import eventually
+
+TLS = "tls_server_config:\n  cert_file: server.crt\n  key_file: server.key\n"
+USERS = f"basic_auth_users:\n  alice: {HASH}\n"
+LOGIN = "Basic " + base64.b64encode(f"alice:{PASSWORD}".encode()).decode()
+WRONG = "Basic " + base64.b64encode(b"alice:guess").decode()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("network")
+    make_certificate(folder, "server")
+    make_certificate(folder, "renewed")
+    make_certificate(folder, "ca")
+    make_certificate(folder, "robot", issuer="ca", extensions=("subjectAltName=DNS:prometheus.example",))
+    make_certificate(folder, "guest", issuer="ca", extensions=("subjectAltName=DNS:guest.example",))
+    return folder
+
+
+def refused(world, *reasons):
+    """Return how many connections were refused for these reasons."""
+    return sum(world.count("arpd_http_connections_refused_total", reason=reason) for reason in reasons)
+
+
+# -- TLS and users
+
+
+def test_tls_is_spoken_and_nothing_else(folder):
+    """A client that trusts the certificate is served; plain HTTP gets a hint, and TLS 1.1 fails."""
+    with running(folder, TLS) as world:
+        assert world.server.url.startswith("https://")
+        assert world.get(tls=trusting(folder)).text == "healthy\n"
+        with pytest.raises(ssl.SSLCertVerificationError):
+            world.get(tls=ssl.create_default_context())
+        plain = world.get()
+        assert (plain.status, "HTTPS" in plain.text) == (400, True)
+        old = trusting(folder)
+        old.set_ciphers("ALL:@SECLEVEL=0")
+        with pytest.warns(DeprecationWarning, match="TLSv1_1"):
+            old.minimum_version = old.maximum_version = ssl.TLSVersion.TLSv1_1
+        with pytest.raises(ssl.SSLError):
+            world.get(tls=old)
+        eventually("the failed handshakes are counted", lambda: refused(world, "tls") >= 2)
+
+
+def test_client_certificates_are_required_and_their_names_matched(folder):
+    """Only a certificate of the CA with an allowed name is served."""
+    text = f"""{TLS}
+  client_auth_type: RequireAndVerifyClientCert
+  client_ca_file: ca.crt
+  client_allowed_sans: [prometheus.example]
+"""
+    with running(folder, text) as world:
+        assert world.get(tls=trusting(folder, client="robot")).status == 200
+        assert world.get(tls=trusting(folder, client="guest")).status == 403
+        for client in ("", "server"):
+            with pytest.raises((OSError, ssl.SSLError)):
+                world.get(tls=trusting(folder, client=client))
+
+
+def test_every_path_asks_for_the_password(folder):
+    """Every path, also a missing one, answers 401 without the password and its own answer with it."""
+    with running(folder, USERS) as world:
+        for path in ("/", "/metrics", "/-/healthy", "/nothing"):
+            answer = world.get(path)
+            assert (answer.status, answer.text) == (401, "401 Unauthorized\n")
+            assert answer.headers["WWW-Authenticate"].startswith('Basic realm="arpd"')
+        assert world.get("/nothing", Authorization=LOGIN).status == 404
+        assert world.get(Authorization=LOGIN).status == 200
+        assert world.get(Authorization=WRONG).status == 401
+        got = {
+            v: world.count("arpd_http_authentications_total", result=v) for v in ("missing", "ok", "cached", "wrong")
+        }
+        assert got == {"missing": 4, "ok": 1, "cached": 1, "wrong": 1}
+        assert world.count("arpd_http_requests_total", path="other", code="401") == 1
+        assert world.count("arpd_http_requests_total", path="/-/healthy", code="200") == 1
+        while (answer := world.get(Authorization=WRONG)).status == 401:
+            pass
+        assert (answer.status, answer.headers["Retry-After"]) == (429, "1")
+        assert world.get(Authorization=LOGIN).status == 200
+
+
+# -- arpd status
+
+
+@pytest.fixture
+def status(capsys, monkeypatch):
+    def status(world, *options, password=PASSWORD):
+        monkeypatch.setenv("ARPD_PASSWORD", password)
+        code = main(["status", "--url", world.server.url.replace("127.0.0.1", "localhost"), "--json", *options])
+        return code, *capsys.readouterr()
+
+    return status
+
+
+def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkeypatch):
+    """`arpd status` takes CA and name as options, and the password from the environment only."""
+    stopped = replace(sample_snapshot, finished_at_s=time.monotonic() - 3600.0)  # before this machine booted, perhaps
+    with running(folder, TLS + USERS, snapshot=lambda: stopped) as world:
+        right = ("--cacert", str(folder / "server.crt"), "--user", "alice")
+        code, out, _ = status(world, *right)
+        assert (code, json.loads(out)["api_version"]) == (1, "v1")
+        for options, password, wrong in (
+            (right, "guess", "the password of alice"),
+            (right[:2], "", "--user NAME"),
+            (("--user", "alice"), PASSWORD, "not trusted"),
+            (("--cacert", str(folder / "renewed.crt")), "", "not trusted"),
+        ):
+            code, out, err = status(world, *options, password=password)
+            assert (code, out) == (3, "")
+            assert wrong in err
+        monkeypatch.delenv("ARPD_PASSWORD")
+        assert main(["status", "--user", "alice"]) == 2
+        assert status(world, "--cacert", str(folder / "no.crt"))[0] == 2
+        assert main(["status", "--url", world.server.url.replace("https", "http")]) == 3
+
+
+def test_status_gives_its_password_to_nobody_else(folder, status):
+    """If the daemon's address leads elsewhere, `arpd status` says so, and does not go there."""
+    seen = []
+
+    class Elsewhere(BaseHTTPRequestHandler):
+        def do_GET(self):
+            seen.append(self.headers["Authorization"])
+            self.send_response(302 if self.path == "/api/v1/status" else 404)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_arguments):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        world = SimpleNamespace(server=SimpleNamespace(url=f"http://127.0.0.1:{server.server_port}"))
+        assert status(world, "--user", "alice")[0] == 3
+        server.shutdown()
+    assert seen == [LOGIN]
+
+
+# -- floods and noise
+
+
+@pytest.mark.parametrize(
+    ("raw", "status"),
+    [
+        (b"GET /\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.0\r\nContent-Length: -1\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.0\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n", b"400"),
+        (b"GET / HTTP/2.0\r\n\r\n", b"400"),
+        (b"POST / HTTP/1.0\r\n\r\n", b"405"),
+        (b"GET / HTTP/1.0\r\nContent-Length: 5\r\n\r\nhello", b"413"),
+        (
+            b"GET / HTTP/1.1\r\nHost: x\r\nConnection: close\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n0\r\n\r\n",
+            b"413",
+        ),
+        (b"GET /" + b"a" * 3000 + b" HTTP/1.0\r\n\r\n", b"414"),
+    ],
+)
+def test_what_is_no_request_is_refused_by_its_code(folder, raw, status):
+    """A request that is malformed, too large, has a body or another method gets its own code."""
+    with running(folder) as world:
+        assert world.send(raw, end=False).split(b" ")[1] == status
+
+
+def test_a_head_without_an_end_is_cut_off(folder):
+    """A client that sends more than a head may have loses its connection."""
+    with running(folder) as world:
+        assert world.send(b"GET / HTTP/1.0\r\n" + b"A: b\r\n" * 10_000, end=False) == b""
+        assert world.get().status == 200
+
+
+def test_a_trickle_does_not_hold_a_connection(folder, monkeypatch):
+    """The deadline covers all bytes of a request together, and the refusal is counted."""
+    monkeypatch.setattr("arpd.web.connection_limit.REQUEST_S", 0.2)
+    monkeypatch.setattr("arpd.web.connection_limit._FIRST.header_timeout", 0.2)
+    with running(folder) as world, socket.create_connection(world.address, timeout=60.0) as raw:
+        raw.settimeout(0.05)
+        while True:
+            try:
+                raw.sendall(b"A")
+                if raw.recv(1) == b"":
+                    break
+            except TimeoutError:
+                continue
+            except ConnectionError:
+                break
+        eventually("the refusal is counted", lambda: refused(world, "timeout") == 1)
+
+
+def test_a_change_of_users_holds_for_open_connections(folder):
+    """A connection from before is closed at its next request, so that nobody keeps an access that is gone."""
+    with (
+        running(folder, "http_server_config: {headers: {X-Frame-Options: deny}}\n") as world,
+        socket.create_connection(world.address, timeout=60.0) as raw,
+    ):
+        raw.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert raw.recv(100).startswith(b"HTTP/1.1 200")
+        (folder / "web.yaml").write_text(USERS)
+        assert world.get().status == 401
+        with suppress(ConnectionError):
+            raw.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+            rest = raw.makefile("rb").read()
+            assert rest.count(b"HTTP/1.1 ") == 0
+
+
+@pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])
+def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, part):
+    """A thousand connections that send nothing or a part of a request evict each other, and cost no threads."""
+    with running(folder, text) as world:
+        tls = trusting(folder) if text else None
+        assert world.get(tls=tls).status == 200
+        before = threading.active_count()
+        flood = []
+        try:
+            for number in range(1000):
+                raw = socket.create_connection(world.address, timeout=60.0)
+                with suppress(ConnectionError):
+                    raw.sendall(b"" if number % 2 else part)
+                flood.append(raw)
+                if number % 100 == 99:
+                    assert world.get(tls=tls).status == 200
+            assert threading.active_count() <= before + 2
+        finally:
+            for raw in flood:
+                raw.close()
+        assert refused(world, "evicted") >= 1000 - MAX_PER_CLIENT
+        assert refused(world, "gone", "tls") <= MAX_PER_CLIENT
+
+
+PIECES = (
+    *b"GET|HEAD|POST| |/|/metrics|/../../etc/passwd|HTTP/1.1|HTTP/1.0|HTTP/9.9|\r\n|\n|Host: x\r\n".split(b"|"),
+    *b"Authorization: Basic |Content-Length: 99999999999\r\n|Transfer-Encoding: chunked\r\n".split(b"|"),
+    *b"Expect: 100-continue\r\n|%00%2e%2e|\0|\xff\xfe".split(b"|"),
+    *(WRONG.encode(), LOGIN.encode()[:-3], b":" * 50, b"A" * 5000, b"A: b\r\n" * 80),
+)
+NOISE = 1000
+
+
+def noise(rng):
+    """Return random bytes, a mix of pieces, a part of a request or a request with changed bytes."""
+    good = b"GET /metrics HTTP/1.1\r\nHost: x\r\nAuthorization: " + WRONG.encode() + b"\r\n\r\n"
+    kind = rng.randrange(4)
+    if kind == 0:
+        return rng.randbytes(rng.randrange(400))
+    if kind == 1:
+        return b"".join(rng.choices(PIECES, k=rng.randrange(12)))
+    if kind == 2:
+        return good[: rng.randrange(len(good))]
+    spoilt = bytearray(good)
+    for _ in range(rng.randrange(1, 6)):
+        spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
+    return bytes(spoilt)
+
+
+def test_noise_breaks_nothing_and_learns_nothing(folder, caplog, capfd):
+    """After any bytes the next good request is served; no answer shows a path, traceback, hash or password."""
+    rng = random.Random(6)
+    secrets = (str(folder).encode(), b"Traceback", b"site-packages", HASH.encode(), WRONG[6:].encode(), b"etc/passwd")
+    with running(folder, USERS) as world:
+        assert world.get(Authorization=LOGIN).status == 200
+        for number in range(NOISE):
+            answer = world.send(noise(rng))
+            assert not answer or answer.startswith(b"HTTP/1.1 ")
+            assert answer.split(b" ", 2)[1:2] != [b"500"]
+            assert not [secret for secret in secrets if secret in answer]
+            if number % 100 == 0:
+                assert world.get(Authorization=LOGIN).status == 200
+        assert world.get(Authorization=LOGIN).status == 200
+    assert "Traceback" not in caplog.text + "".join(capfd.readouterr())

@@ -1,0 +1,124 @@
+"""The page: its places, its assets, and how they are served."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from arpd.report.events import Event, EventKind, Severity
+from arpd.report.history import History
+from arpd.report.status import status_document
+from tests.unit.web_world import running
+
+WEB = Path(__file__).parents[3] / "arpd" / "web"
+VENDORED = WEB / "assets" / "vendor" / "uplot-1.6.32"
+
+
+@pytest.fixture
+def get(sample_snapshot):
+    """Return a function that asks the server for a path."""
+    history = History()
+    for second in range(30):
+        history.note(replace(sample_snapshot, finished_at_s=float(second)))
+    with running(snapshot=lambda: sample_snapshot, history=history) as world:
+        yield world.get
+
+
+# -- assets
+
+
+def test_what_is_vendored_is_what_its_readme_says():
+    """Each vendored file has the SHA-256 that stands beside it, and the licence is there."""
+    lines = [line.split() for line in (VENDORED / "README.md").read_text().splitlines() if line[4:68].isalnum()]
+    listed = {name: digest for digest, name in lines}
+    assert set(listed) == {"uPlot.iife.min.js", "uPlot.min.css", "LICENSE"}
+    assert {path.name for path in VENDORED.iterdir()} == {*listed, "README.md"}
+    for name, digest in listed.items():
+        assert hashlib.sha256((VENDORED / name).read_bytes()).hexdigest() == digest
+    assert "MIT License" in (VENDORED / "LICENSE").read_text()
+
+
+def test_everything_the_page_names_is_served_and_kept(get):
+    """Scripts and styles lie under a path of their content, may be kept for good, and are found from the page."""
+    page = get("/").text
+    named = re.findall(r'(?:src|href)="(assets/[^"]+)"', page)
+    assert len(named) == 8
+    for path in named:
+        answer = get(f"/{path}")
+        assert answer.status == 200
+        assert answer.headers["Cache-Control"] == "private, max-age=31536000, immutable"
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    assert get("/api/v1/history").headers["Cache-Control"] == "no-store"
+    assert get("/assets/0123456789abcdef/page.js").status == 404
+    for other in ("/../page.html", "%00"):
+        assert get(f"/{named[0]}{other}").status == 404
+
+
+def test_the_page_names_nobody_else():
+    """Page, styles and scripts contain no address of another host, and nothing inline."""
+    ours = [WEB / "page.html", *(WEB / "assets").glob("*.*")]
+    for path in ours:
+        text = path.read_text()
+        assert not re.search(r"https?://|//[a-z]+\.", text), path
+        assert "innerHTML" not in text
+        assert not re.search(r"\son\w+=|style=|<style|<script>", text), path
+
+
+def test_answers_get_smaller_and_stay_the_same(get):
+    """A large answer comes in gzip with the same content; a small one as it is."""
+    plain, small = get("/api/v1/history"), get("/api/v1/history", **{"Accept-Encoding": "gzip, deflate"})
+    assert small.headers["Content-Encoding"] == "gzip"
+    assert plain.headers["Content-Encoding"] is None
+    assert gzip.decompress(small.raw) == plain.raw
+    assert len(small.raw) < len(plain.raw) / 4
+    assert get("/-/ready", **{"Accept-Encoding": "gzip"}).headers["Content-Encoding"] is None
+
+
+# -- places
+
+
+class _Places(HTMLParser):
+    """Collects the paths that the page takes from the document; those of a row begin with its list's."""
+
+    def __init__(self):
+        super().__init__()
+        self.paths = set()
+        self.rows = []
+
+    def handle_starttag(self, tag, attrs):
+        named = dict(attrs)
+        paths = {
+            named[name].partition("|")[0]
+            for name in ("data-field", "data-mark-field", "data-show", "data-hide", "data-rows", "data-sort")
+            if name in named
+        }
+        within = ["topics"] if "data-sort" in named else self.rows
+        self.paths |= {".".join((*within, path)) for path in paths}
+        if tag == "template":
+            self.rows.append(named["data-rows"])
+
+    def handle_endtag(self, tag):
+        if tag == "template":
+            self.rows.pop()
+
+
+def test_every_place_of_the_page_is_in_the_document(sample_snapshot):
+    """Each path of page.html exists in a full document."""
+    told = Event(number=1, unix_time_s=1.7e9, kind=EventKind.PLAN, severity=Severity.INFO, text="a plan")
+    document = status_document(replace(sample_snapshot, config_error="line 3", events=(told,)), now_s=1000.25)
+    places = _Places()
+    places.feed((WEB / "page.html").read_text())
+    assert len(places.paths) > 60
+    for path in places.paths:
+        value: Any = document
+        for key in path.split("."):
+            value = value[0] if isinstance(value, list) else value
+            assert key in value, path
+            value = value[key]

@@ -1,0 +1,248 @@
+"""The web-config file: the keys of exporters, one clear line for each fault, and changes while the daemon runs."""
+
+from __future__ import annotations
+
+import logging
+import re
+import shutil
+import ssl
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given
+from hypothesis import strategies as st
+
+from arpd.model.errors import ConfigError
+from arpd.web.access import Access, exposure
+from arpd.web.http_metrics import HttpCounts
+from arpd.web.web_config import Protection, load_protection
+from arpd.web.web_config_schema import TlsServer, WebDocument
+from tests.examples import examples
+from tests.unit.web_world import HASH, Clock, make_certificate
+
+FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")
+SECRET = "$2y$10$short-and-secret"
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certificates")
+    make_certificate(folder, "server")
+    make_certificate(folder, "other")
+    (folder / "junk.pem").write_text("-----BEGIN CERTIFICATE-----\nbm8=\n-----END CERTIFICATE-----\n")
+    (folder / "text.txt").write_text("nothing of the kind")
+    return folder
+
+
+@pytest.fixture
+def folder(certificates, tmp_path):
+    shutil.copytree(certificates, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.fixture
+def load(certificates):
+    def load(text):
+        path = certificates / "web.yaml"
+        path.write_text(text)
+        return load_protection(path)
+
+    return load
+
+
+TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
+
+
+def test_what_an_exporter_has_is_understood(load, certificates):
+    """Certificate, client certificates, users and headers of an exporter's file mean the same to arpd."""
+    protection = load(f"""
+tls_server_config:
+  cert_file: server.crt
+  key_file: server.key
+  client_auth_type: RequireAndVerifyClientCert
+  client_ca_file: other.crt
+  client_allowed_sans: [prometheus.example]
+  min_version: TLS12
+  max_version: TLS13
+  cipher_suites: [TLS_ECDHE_RSA_WITH_AES_128_GCM_SHA256, TLS_AES_128_GCM_SHA256]
+  prefer_server_cipher_suites: true
+http_server_config:
+  http2: true
+  headers:
+    Strict-Transport-Security: max-age=31536000
+    X-Frame-Options: deny
+    Content-Security-Policy: ""
+basic_auth_users:
+  alice: {HASH}
+""")
+    assert protection.tls is not None
+    assert protection.tls.minimum_version is ssl.TLSVersion.TLSv1_2
+    ciphers = {cipher["name"] for cipher in protection.tls.get_ciphers() if cipher["protocol"] == "TLSv1.2"}
+    assert ciphers == {"ECDHE-RSA-AES128-GCM-SHA256"}
+    assert protection.requires_certificate
+    assert protection.allowed_sans == {"prometheus.example"}
+    assert dict(protection.users) == {b"alice": HASH.encode()}
+    assert dict(protection.headers) == {"Strict-Transport-Security": "max-age=31536000", "X-Frame-Options": "deny"}
+    assert [file.name for file in protection.files] == ["web.yaml", "server.crt", "server.key", "other.crt"]
+    assert HASH not in repr(protection)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        ("tls_servr_config: {}", "1:1: tls_servr_config", "did you mean tls_server_config?"),
+        (f"{TLS}, key: x}}", "1:66: tls_server_config.key", "does not support"),
+        ("rate_limit: {interval: 1s}", "1:1: rate_limit", "does not support"),
+        ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file", "is missing"),
+        ("tls_server_config:", "1:19: tls_server_config", "has no value"),
+        ("basic_auth_users: [a]", "1:19: basic_auth_users", "a list is not a mapping"),
+        (f"basic_auth_users: {{alice: {SECRET}}}", "1:27: basic_auth_users.alice", "not a bcrypt hash"),
+        (f"basic_auth_users: {{a: '{HASH.replace('$04$', '$20$')}'}}", "1:23: basic_auth_users.a", "cost 20"),
+        (f"basic_auth_users: {{'a:b': {HASH}}}", "1:27: basic_auth_users.'a:b'", "cannot be a name"),
+        (f"{TLS}, min_version: TLS10}}", "1:79: tls_server_config.min_version", "write TLS12 or TLS13"),
+        (f"{TLS}, min_version: TLS13, max_version: TLS12}}", "tls_server_config.min_version", "max_version TLS12"),
+        (f"{TLS}, client_auth_type: RequireAndVerifyClientCert}}", "tls_server_config.client_auth_type", "needs a CA"),
+        (f"{TLS}, client_ca_file: other.crt}}", "tls_server_config.client_ca_file", "client_auth_type is NoClientCert"),
+        (f"{TLS}, client_allowed_sans: [a]}}", "tls_server_config.client_allowed_sans", "from every client"),
+        (f"{TLS}, client_allowed_sans: a}}", "tls_server_config.client_allowed_sans", "not a list"),
+        (f"{TLS}, cipher_suites: [TLS_RSA_WITH_RC4_128_SHA]}}", "tls_server_config.cipher_suites", "not a list"),
+        (
+            "http_server_config: {headers: {X-Powered-By: x}}",
+            "1:32: http_server_config.headers.X-Powered-By",
+            "known here",
+        ),
+        ('http_server_config: {headers: {X-XSS-Protection: "a\\r\\nb"}}', "", "not a header's value"),
+        ("http_server_config: {headers: {X-Frame-Options: x}}", "", "write deny or sameorigin"),
+        ("tls_server_config: {cert_file: no.crt, key_file: server.key}", "", "no.crt does not exist"),
+        ("tls_server_config: {cert_file: text.txt, key_file: server.key}", "", "text.txt holds no CERTIFICATE"),
+        (
+            "tls_server_config: {cert_file: server.crt, key_file: other.key}",
+            "1:54: tls_server_config.key_file",
+            "does not",
+        ),
+        ("tls_server_config: {cert_file: junk.pem, key_file: other.key}", "", "cannot be used with key_file"),
+        ("tls_server_config: {cert_file: ., key_file: other.key}", "", "Is a directory"),
+    ],
+)
+def test_faults_name_place_key_and_way_out(load, text, place, words):
+    """Each fault is one line, as for arpd.yaml, and no line shows a hash."""
+    with pytest.raises(ConfigError) as refused:
+        load(text)
+    (fault,) = refused.value.faults
+    assert FAULT.fullmatch(fault)
+    assert f"{place}: " in fault
+    assert words in fault
+    assert SECRET not in fault
+    assert "$2b$" not in fault
+
+
+KEYS = st.sampled_from(
+    [
+        *WebDocument.model_fields,
+        *TlsServer.model_fields,
+        "headers",
+        "X-Frame-Options",
+        "cert",
+        "curve_preferences",
+        "a:b",
+    ]
+)
+VALUES = st.none() | st.booleans() | st.integers(-9, 99) | st.floats() | st.text(max_size=9) | st.just("server.crt")
+DOCUMENTS = st.recursive(
+    VALUES, lambda v: st.lists(v, max_size=3) | st.dictionaries(KEYS, v, max_size=4), max_leaves=12
+)
+
+
+@examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.dictionaries(KEYS, DOCUMENTS, max_size=3).map(yaml.safe_dump) | st.text(max_size=60))
+def test_any_file_is_understood_or_refused_in_our_words(load, text):
+    """Any file loads or gives faults in their form, and none in pydantic's words."""
+    try:
+        load(text.encode("utf-8", "replace").decode())
+    except ConfigError as error:
+        for fault in error.faults:
+            assert FAULT.fullmatch(fault), fault
+            assert "see the manual" not in fault
+
+
+def test_the_shipped_example_is_only_comments_and_right(certificates):
+    """Without its comment signs, the example needs only files and a hash to load."""
+    text = (Path(__file__).parents[3] / "etc" / "arpd" / "web-config.yaml").read_text()
+    assert all(line.startswith("#") or not line for line in text.splitlines())
+    live = re.sub(r"^#(?=[a-z]|  )", "", text, flags=re.MULTILINE)
+    for name, here in (("robot", "server"), ("clients.crt", "other.crt"), ("$2y$10$...", HASH)):
+        live = live.replace(name, here)
+    (certificates / "example.yaml").write_text(live)
+    protection = load_protection(certificates / "example.yaml")
+    assert protection.tls
+    assert protection.users
+    assert protection.headers
+
+
+# -- changes while the daemon runs
+
+
+@pytest.fixture
+def access(folder):
+    path = folder / "web.yaml"
+    path.write_text(f"{TLS}}}\nbasic_auth_users: {{alice: {HASH}}}")
+    clock, counts = Clock(), HttpCounts()
+    access = Access(path, counts=counts, clock=clock)
+    return SimpleNamespace(current=access.current, path=path, clock=clock, counts=counts)
+
+
+def reloads(access):
+    families = {family.name: family for family in access.counts.collect()}
+    return {sample.labels["result"]: sample.value for sample in families["arpd_http_config_reloads"].samples}
+
+
+def test_users_and_certificates_are_read_again_when_they_change(access, folder):
+    """A new user and a renewed certificate are in force for the next connection; unchanged files are not read."""
+    first = access.current()
+    assert access.current() is first
+    access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{bob: {HASH}}}")
+    second = access.current()
+    assert set(second.users) == {b"bob"}
+    for ending in ("crt", "key"):
+        (folder / f"other.{ending}").rename(folder / f"server.{ending}")
+    third = access.current()
+    assert third.tls is not second.tls
+    assert access.current() is third
+    assert reloads(access) == {"failed": 0, "ok": 2}
+
+
+def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
+    """A broken file is logged and counted once for any number of connections; the next good file is in force."""
+    first = access.current()
+    access.path.write_text("basic_auth_users: {alice: x}")
+    assert [access.current() for _ in range(3)] == [first] * 3
+    access.clock.now_s = 100.0
+    assert access.current() is first
+    assert reloads(access) == {"failed": 1, "ok": 0}
+    assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
+    access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{carol: {HASH}}}")
+    assert set(access.current().users) == {b"carol"}
+    assert reloads(access) == {"failed": 1, "ok": 1}
+
+
+@pytest.mark.parametrize("text", ["http_server_config: {}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""])
+def test_no_change_of_the_file_opens_the_port(access, text):
+    """TLS and users stay until a restart, so that an editor that writes a file in two steps cannot open the robot."""
+    first = access.current()
+    access.path.write_text(text)
+    assert access.current() is first
+    assert reloads(access)["failed"] == 1
+
+
+def test_what_is_open_to_the_network_is_said(access):
+    """Beyond loopback there is a risk without TLS, and without users or client certificates."""
+    both = access.current()
+    users = Protection(users=both.users)
+    assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
+    assert "anyone" in exposure("0.0.0.0", Protection())
+    assert "anyone" in exposure("fe80::1%eth0", Protection(tls=both.tls))
+    assert "unencrypted" in exposure("::", users)
+    assert exposure("192.0.2.1", both) == ""
+    assert exposure("192.0.2.1", Protection(tls=both.tls, requires_certificate=True)) == ""
