@@ -279,7 +279,7 @@ def test_a_call_under_way_delays_no_other(world, eventually):
 
 
 def test_names_on_the_base_have_the_namespace(world, eventually):
-    """The robot's services are under the namespace, the base computer's own cross without it, and others do not cross."""
+    """The robot's services are under the namespace, the base computer's cross without it, and others do not cross."""
     up = Doubler(world.robot_nodes.node("calculator"), "/double")
     down = Doubler(world.base_nodes.node("planner", namespace="/spot"), "/spot/plan")
     Doubler(world.base_nodes.node("alien"), "/alien")

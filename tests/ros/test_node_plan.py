@@ -7,8 +7,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
+from arpd.endpoint import node_publishers
 from arpd.model.plan import PlanAnswer, TopicPlan
-from arpd.ros import node_publishers
 from tests.ros.announced import Announced
 from tests.ros.plans import Plans
 from tests.ros.price import TERMS
