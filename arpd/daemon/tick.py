@@ -22,9 +22,8 @@ from arpd.govern.progress import progress
 from arpd.model.price import Price
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot, Totals
-from arpd.solve.link import in_steps
 from arpd.solve.program import Program
-from arpd.solve.topics import Demand, memory_budget_bytes
+from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_traffic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -84,7 +83,6 @@ class Daemon:
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
         self._program = Program(settings, clock=self._clock)
         self._budget = Budget()
-        self._demand = Demand()
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._turns = Turns()
@@ -136,8 +134,8 @@ class Daemon:
         facts = self._facts(observation, link)
         if not self._turns.is_due(now_s, facts=facts, publishers=observation.publishers):
             return self._follow(now_s, observation, link, budget)
-        topics = self._demand.topics(observation.publishers, self.settings) if self._estimator.has_evidence else ()
-        self._topics = topics
+        traffic = measured_traffic(observation.publishers) if self._estimator.has_evidence else ()
+        topics = self._topics = rows_of_traffic(traffic, self.settings)
         solve = partial(
             self._program.solve,
             topics=topics,
@@ -145,12 +143,9 @@ class Daemon:
             packet_overhead_s=link.available_packet_overhead_s,
             crossing=_crossing(observation),
         )
-        capacity, share = in_steps(link.available_bytes_per_second, budget)
-        rates = solve(capacity, share=share)
+        rates = solve(link.available_bytes_per_second, share=_share(budget, link))
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
-        lasting_capacity = self._budget.lasting_bytes_per_second
-        capacity, share = in_steps(lasting_capacity, self.settings.link.headroom * lasting_capacity)
-        lasting = solve(capacity, share=share)
+        lasting = solve(self._budget.lasting_bytes_per_second)
         decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
         come = progress(observation.publishers, decision.plan, lease_s=self.settings.lease_s)
         if not observation.active_daemon:
@@ -193,16 +188,15 @@ class Daemon:
         assert snapshot is not None, "the first tick is a whole turn"
         decision, allocation = snapshot.decision, snapshot.allocation
         if not observation.active_daemon:
-            capacity, share = in_steps(link.available_bytes_per_second, budget)
             price = self._program.price(
-                capacity,
+                link.available_bytes_per_second,
                 self._topics,
                 packet_overhead_s=link.available_packet_overhead_s,
-                share=share,
+                share=_share(budget, link),
                 crossing=_crossing(observation),
             )
             decision = replace(decision, price=price, level_changed=False, reason="")
-            allocation = replace(allocation, price=price, capacity_bytes_per_second=capacity * share)
+            allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
             self._send(now_s, price, link, budget=budget, divided=snapshot.allocation)
         finished_s = self._clock()
         self.record.follow(
@@ -257,7 +251,7 @@ class Daemon:
         """Send the price where it is due, and the probes that the estimator wants."""
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
         price = price or free
-        share = min(1.0, budget / max(1.0, link.available_bytes_per_second))
+        share = _share(budget, link)
         spare = 0.0
         if math.isinf(price.share_per_weight):
             spare = max(0.0, share - sum(topic.share for topic in divided.topics))
@@ -350,3 +344,8 @@ class Daemon:
 def _crossing(observation: Observation) -> int:
     """Return the number of topics that cross the link, managed or not."""
     return observation.sensing_topics + observation.actuation_topics
+
+
+def _share(budget: float, link: LinkEstimate) -> float:
+    """Return a budget as a part of what the link has for arpd's topics, 0..1."""
+    return min(1.0, budget / max(1.0, link.available_bytes_per_second))

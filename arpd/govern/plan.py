@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from arpd.govern.classes import CLASSES, EXACT, LONGEST_DEADLINE_NS, Fit, Ladder, Move
 from arpd.model.plan import QosPlan, TopicPlan, keeps_its_readers
 from arpd.model.wire import FRAGMENT_BYTES
-from arpd.solve.uniform import alike
+from arpd.solve.eq4 import alike
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

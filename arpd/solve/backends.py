@@ -9,14 +9,13 @@ import logging
 import math
 from collections import Counter
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.model.settings import Backend
 from arpd.solve.level import TOLERANCE, residual, water_level
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import ModuleType
 
     from arpd.solve.eq4 import Eq4Problem
     from arpd.solve.level import Column
@@ -37,14 +36,14 @@ class Solver:
 
     Attributes
     ----------
-    outcomes : (back end, ``solved`` | ``infeasible`` | ``failed`` | ``disagreed``) → count
+    outcomes : (back end, ``solved`` | ``failed`` | ``disagreed``) → count
     """
 
     def __init__(self, backend: Backend) -> None:
         self.outcomes: Counter[tuple[str, str]] = Counter()
         self._backend = backend
         self._fault = ""
-        self._library: ModuleType | None = None
+        self._library: Any = None
         try:
             if backend is not Backend.CLOSED_FORM:
                 self._library = import_module(f"arpd.solve.{backend}_")
@@ -59,7 +58,7 @@ class Solver:
         if low.sum() >= budget * (1.0 - TOLERANCE):
             return closed, None
         return self._asked(
-            lambda library: library.level(weights, low, high, budget),
+            lambda: self._library.level(weights, low, high, budget),
             closed=closed,
             missed_by=lambda level: residual(level, weights, low, high, budget),
         )
@@ -68,33 +67,23 @@ class Solver:
         """Return (R, D) of an Eq. (4) that has a solution, and who found it."""
         rate_hz, depth = problem.vertex()
         return self._asked(
-            lambda library: library.eq4(problem),
+            lambda: self._library.eq4(problem),
             closed=(rate_hz, depth),
             missed_by=lambda found: (
                 abs(found[0] - rate_hz) / problem.max_rate_hz + abs(found[1] - depth) / problem.max_depth
             ),
         )
 
-    def note_infeasible(self) -> None:
-        """Count floors that do not fit, where no solver is asked."""
-        self.outcomes[self._backend, "infeasible"] += 1
-
-    def _asked(
-        self, ask: Callable[[ModuleType], T], *, closed: T, missed_by: Callable[[T], float]
-    ) -> tuple[T, Backend]:
+    def _asked(self, ask: Callable[[], T], *, closed: T, missed_by: Callable[[T], float]) -> tuple[T, Backend]:
         if self._backend is not Backend.CLOSED_FORM:
-            outcome = "failed"
+            missed = math.nan
             try:
-                if self._library is not None:
-                    answer = ask(self._library)
-                    missed = missed_by(answer)
-                    if missed <= TOLERANCE:
-                        self.outcomes[self._backend, "solved"] += 1
-                        return answer, self._backend
-                    outcome = "failed" if math.isnan(missed) else "disagreed"
+                if self._library is not None and (missed := missed_by(answer := ask())) <= TOLERANCE:
+                    self.outcomes[self._backend, "solved"] += 1
+                    return answer, self._backend
             except Exception as error:  # noqa: BLE001 - a library may raise anything
                 self._note(f"raised {type(error).__name__}: {error}")
-            self.outcomes[self._backend, outcome] += 1
+            self.outcomes[self._backend, "failed" if math.isnan(missed) else "disagreed"] += 1
         self.outcomes[Backend.CLOSED_FORM, "solved"] += 1
         return closed, Backend.CLOSED_FORM
 

@@ -1,4 +1,4 @@
-"""Eq. (4) as Jalil & Kobayashi publish it: one DEADLINE rate R and one DEPTH D for all topics.
+"""Eq. (4) as Jalil & Kobayashi publish it, one DEADLINE rate R and one DEPTH D for all topics, and on the live link.
 
 Design: docs/design.md, The program.
 """
@@ -6,14 +6,27 @@ Design: docs/design.md, The program.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from arpd.model.allocation import Binding, Uniform
 from arpd.model.plan import NANOSECONDS_PER_SECOND
-from arpd.solve.level import TOLERANCE
+from arpd.solve.level import TOLERANCE, Yielding, left
+from arpd.solve.link import NO_CAPACITY, Division, Link
+
+if TYPE_CHECKING:
+    from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
+    from arpd.solve.link import Find, Rows
 
 # DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t); a slower topic counts as paused.
 _LONGEST_PERIOD_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
 _NOISE = 1e-12  # of a float
+# Terms of every row of a uniform plan. Equal terms give every publisher the same rate. They never change, so the price
+# alone moves the rate, also when a topic comes or a message grows, and no plan is needed for that.
+_WEIGHT, _WIRE_BYTES, _PACKETS = 1.0, 1000.0, 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,6 +85,69 @@ class Eq4Problem:
                 f"{self.min_depth}; raise Dmax or lower Dmin"
             )
         return ""
+
+
+class AlikeOnLink(Link):
+    """Eq. (4) of the topics on a link (`policy: uniform`), with Rmax for one of mean cost on the divided part of it.
+
+    N counts every topic that crosses the link. Where (2) cannot be met, the rate reserve gives way, then Rmin, by no
+    more than they must. So R never rises while the capacity falls, and N topics at R always fit. A source that is
+    slower than R keeps its own period; what it leaves goes to nobody, as in the paper.
+
+    Parameters
+    ----------
+    crossing : topics that cross the link, managed or not
+    """
+
+    def __init__(self, rows: Rows, capacity: float, packet_overhead_s: float, share: float, *, crossing: int) -> None:
+        super().__init__(rows, capacity, packet_overhead_s, share)
+        self._topics = max(crossing, len(rows.topics))
+        self._max_rate_hz = self.budget / float(self.costs_s.mean())
+        self._even_hz, self._floor_hz = self._max_rate_hz / self._topics, float(rows.floors_hz.max())
+        self._rate_hz = min(self._even_hz, max(self._floor_hz, self._even_hz - self._floor_hz))
+        self.floors_hz = np.full_like(self.costs_s, self._floor_hz)
+
+    def price(self, find: Find) -> Price:  # noqa: ARG002 - the optimum is a vertex
+        """Return the price at which every row of a uniform plan has the rate R."""
+        kept = min(1.0, self._rate_hz / self._floor_hz) if self._floor_hz else float(self.budget > 0.0)
+        level = self._rate_hz * _WIRE_BYTES / (_WEIGHT * (self.capacity or 1.0))
+        price = self.priced(level, Yielding(_WEIGHT if kept < 1.0 else 0.0, kept))
+        return replace(price, packet_overhead_s=0.0)
+
+    def divide(self, memory_bytes: float, find: Find) -> Division:
+        """Return R for all but slower sources, and D = clip(τ·R − Dmin, Dmin, Dmax) or what memory holds."""
+        rows, rate_hz = self.rows, self._rate_hz
+        least, most = float(rows.min_depths.max()), float(rows.max_depths.max())
+        of_link_s, latency_s = most / (self._max_rate_hz or math.inf), float(rows.latencies_s.min())
+        justified = min(of_link_s, latency_s) * rate_hz - least
+        depth, binding = least, Binding.FLOOR
+        if justified >= least:
+            depth, binding = justified, Binding.LATENCY_BUDGET if latency_s < of_link_s else Binding.LINK
+        held = memory_bytes / max(1.0, float(rows.slots.sum()))
+        if held < depth:
+            depth, binding = max(1.0, held), Binding.MEMORY
+        return Division(
+            price=self.price(find),
+            rates_hz=np.minimum(rate_hz, self.ceilings_hz),
+            depths=np.full_like(self.costs_s, depth),
+            depth_bindings=[binding] * len(rows.topics),
+            given_up=self._given_up(holds=held / least),
+            uniform=Uniform(topics=self._topics, max_rate_hz=self._max_rate_hz, rate_hz=rate_hz, depth=whole(depth)),
+        )
+
+    def _given_up(self, *, holds: float) -> list[str]:
+        reserve, kept = 1.0, 1.0
+        if self._floor_hz:
+            reserve, kept = max(0.0, self._even_hz / self._floor_hz - 1.0), self._even_hz / self._floor_hz
+        words = [f"rate reserve {left(reserve)}"] if reserve < 1.0 - TOLERANCE else []
+        words += [f"rate floor {left(kept)}"] if kept < 1.0 - TOLERANCE else []
+        depth = ["memory budget below the depth floor"] if holds < 1.0 - TOLERANCE else []
+        return (words if self.budget else [NO_CAPACITY]) + depth
+
+
+def alike(row: TopicPlan) -> TopicPlan:
+    """Return a row of a uniform plan: its terms are those of every other row, so the price gives all one rate."""
+    return replace(row, weight=_WEIGHT, wire_bytes=_WIRE_BYTES, packets=_PACKETS)
 
 
 def period_ns(rate_hz: float) -> int:

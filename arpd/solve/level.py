@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -39,27 +39,32 @@ def residual(level: float, weights: Column, low: Column, high: Column, budget: f
     return abs(float(np.clip(level * weights, low, high).sum()) / budget - 1.0)
 
 
-def yielding(weights: Column, low: Column, deficit: float) -> tuple[float, float]:
-    """Return the heaviest weight whose floors give way, and the part of them that is kept: light weights go first."""
-    heaviest, kept = 0.0, 1.0
+class Yielding(NamedTuple):
+    """The floors that give way: all of lighter rows, and of rows of this weight all but a part."""
+
+    weight: float = 0.0
+    kept: float = 1.0
+
+    def parts(self, weights: Column) -> Column:
+        """Return the part of its floor that each row keeps, 0..1."""
+        return np.where(weights > self.weight, 1.0, np.where(weights == self.weight, self.kept, 0.0))
+
+    def words(self, floor: str, weights: Column, low: Column) -> list[str]:
+        """Return what gives way, in words."""
+        classes = np.unique(weights[(low > 0.0) & (weights <= self.weight)]).tolist()
+        return [f"{floor} of weight {w:g} {left(self.kept if w == self.weight else 0.0)}" for w in classes]
+
+
+def yielding(weights: Column, low: Column, deficit: float) -> Yielding:
+    """Return which floors give way to a deficit, none where there is none: light rows first."""
+    found = Yielding()
     for weight in np.unique(weights[low > 0.0]).tolist():
         if deficit <= 0.0:
             break
         total = float(low[weights == weight].sum())
-        heaviest, kept = weight, max(0.0, total - deficit) / total
+        found = Yielding(weight, max(0.0, total - deficit) / total)
         deficit -= total
-    return heaviest, kept
-
-
-def kept_parts(weights: Column, heaviest: float, kept: float) -> Column:
-    """Return the part of its floor that each topic keeps, 0..1."""
-    return np.where(weights > heaviest, 1.0, np.where(weights == heaviest, kept, 0.0))
-
-
-def given_up(floor: str, weights: Column, low: Column, heaviest: float, kept: float) -> list[str]:
-    """Return in words what `yielding` takes of the floors."""
-    classes = np.unique(weights[(low > 0.0) & (weights <= heaviest)]).tolist()
-    return [f"{floor} of weight {weight:g} {left(kept if weight == heaviest else 0.0)}" for weight in classes]
+    return found
 
 
 def left(part: float) -> str:

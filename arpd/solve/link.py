@@ -1,27 +1,27 @@
-"""(G1): what each topic costs on a link, between which bounds its rate is, and the price of a budget."""
+"""(G1) and (G2): what each topic costs on a link, the bounds of its rate and its history, and the division."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from arpd.model.allocation import Binding
 from arpd.model.price import Price
-from arpd.solve.level import TOLERANCE, given_up, kept_parts, yielding
+from arpd.solve.level import TOLERANCE, Yielding, yielding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.model.allocation import Topic
+    from arpd.model.allocation import Topic, Uniform
     from arpd.solve.level import Column
 
     #: Returns ν for weights, low, high and budget.
     Find = Callable[[Column, Column, Column, float], float]
 
-_STEP = 0.005  # of the logarithm of a budget or capacity
 _LEAST_SHARE = 1e-6
+NO_CAPACITY = "the link has no capacity: every topic is paused"
 
 
 class Rows:
@@ -44,6 +44,17 @@ class Rows:
         self.latencies_s = np.nan_to_num(column("latency_budget_s"), nan=math.inf, posinf=math.inf)  # None is nan here
 
 
+class Division(NamedTuple):
+    """The link and the memory divided: rates (Hz), depths (samples), and what gave way, in words."""
+
+    price: Price
+    rates_hz: Column
+    depths: Column
+    depth_bindings: list[Binding]
+    given_up: list[str]
+    uniform: Uniform | None = None
+
+
 class Link:
     """The rows on a link.
 
@@ -56,73 +67,86 @@ class Link:
     Attributes
     ----------
     costs_s : a = k·t_ovh + s/C, link time of a message (s)
-    ceilings_hz : the most that each row wants, or that the link carries of it alone (Hz)
-    weights, low, high, budget : (G1), with shares e of link time
-    slots, min_depths, max_depths, windows_s : (G2), with the time that a full history stands for
+    ceilings_hz : the most that each row wants; twice what the link carries of it stands for all that is more (Hz)
     """
 
     def __init__(self, rows: Rows, capacity: float, packet_overhead_s: float, share: float) -> None:
         self.rows, self.capacity, self.packet_overhead_s = rows, capacity, packet_overhead_s
         self.costs_s = rows.packets * packet_overhead_s + rows.wire_bytes / (capacity or 1.0)
-        alone_hz = 1.0 / self.costs_s
-        self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(alone_hz, rows.wishes_hz))
-        self._is_wish = (rows.wishes_hz < alone_hz).tolist()
-        self.weights, self.floors_hz = rows.weights, rows.floors_hz
+        self.floors_hz = rows.floors_hz
+        self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(rows.wishes_hz, 2.0 / self.costs_s))
         self.budget = share if capacity and share >= _LEAST_SHARE else 0.0
-        self.low, self.high = self.costs_s * self.floors_hz, self.costs_s * self.ceilings_hz
-        self.slots, self.min_depths, self.max_depths = rows.slots, rows.min_depths, rows.max_depths
-        self.of_link_s, self.latencies_s = rows.max_depths * self.costs_s, rows.latencies_s
 
     def price(self, find: Find) -> Price:
         """Return the price of the budget: ν, or who gives way where the floors do not fit."""
-        level, heaviest, kept = 0.0, 0.0, 1.0
+        rows, low = self.rows, self.costs_s * self.floors_hz
         if not self.budget:
-            heaviest, kept = float(self.weights.max()), 0.0
-        elif (deficit := float(self.low.sum()) - self.budget) > TOLERANCE * self.budget:
-            heaviest, kept = yielding(self.weights, self.low, deficit)
-        else:
-            level = find(self.weights, self.low, self.high, self.budget)
-            if math.isinf(level) and self.high.max() >= 1.0:  # a ceiling of the whole link is no wish of its own
-                level = float((self.high / self.weights).max())
-        return Price(
-            share_per_weight=level,
-            capacity_bytes_per_second=self.capacity or 1.0,
-            packet_overhead_s=self.packet_overhead_s,
-            yielding_weight=heaviest,
-            kept_floor=kept,
-        )
+            return self.priced(0.0, Yielding(float(rows.weights.max()), 0.0))
+        if (deficit := float(low.sum()) - self.budget) > TOLERANCE * self.budget:
+            return self.priced(0.0, yielding(rows.weights, low, deficit))
+        return self.priced(find(rows.weights, low, self.costs_s * self.ceilings_hz, self.budget), Yielding())
 
-    def rates_hz(self, price: Price) -> Column:
-        """Return R = clip(ν·w/a, ℓ, u), with what a price leaves of the floors (Hz)."""
-        floors_hz = self.floors_hz * kept_parts(self.weights, price.yielding_weight, price.kept_floor)
-        return np.clip(price.share_per_weight * self.weights / self.costs_s, floors_hz, self.ceilings_hz)
-
-    def most_hz(self, price: Price) -> Column:  # noqa: ARG002 - EvenLink needs it
-        """Return the rates that histories are made for: the desired ones, which a moving price may reach (Hz)."""
-        return np.where(np.isinf(self.rows.wishes_hz), 1.0 / self.costs_s, self.rows.wishes_hz)
+    def divide(self, memory_bytes: float, find: Find) -> Division:
+        """Return R = clip(ν·w/a, ℓ, u), with what the price leaves of the floors, and the histories of `_histories`."""
+        price, rows = self.price(find), self.rows
+        floors = Yielding(price.yielding_weight, price.kept_floor)
+        level_hz = price.share_per_weight * rows.weights / self.costs_s
+        rates_hz = np.clip(level_hz, self.floors_hz * floors.parts(rows.weights), self.ceilings_hz)
+        words = floors.words("rate floor", rows.weights, self.floors_hz) if self.budget else [NO_CAPACITY]
+        depths, bindings, cut = self._histories(memory_bytes, find)
+        return Division(price, rates_hz, depths, bindings, words + cut)
 
     def bindings(self, rates_hz: Column) -> list[Binding]:
         """Return what stops each rate: its ceiling, its floor, or the link."""
         columns = (column.tolist() for column in (rates_hz, self.floors_hz, self.ceilings_hz))
         return [
-            (Binding.DESIRED_RATE if is_wish else Binding.LINK)
+            Binding.DESIRED_RATE
             if rate_hz >= ceiling_hz
             else (Binding.FLOOR if floor_hz and math.isclose(rate_hz, floor_hz) else Binding.LINK)
-            for rate_hz, floor_hz, ceiling_hz, is_wish in zip(*columns, self._is_wish, strict=True)
+            for rate_hz, floor_hz, ceiling_hz in zip(*columns, strict=True)
         ]
 
-    def given_up(self, price: Price) -> list[str]:
-        """Return in words what gives way."""
-        if not self.budget:
-            return ["the link has no capacity: every topic is paused"]
-        return given_up("rate floor", self.weights, self.low, price.yielding_weight, price.kept_floor)
+    def priced(self, level: float, floors: Yielding) -> Price:
+        """Return the price of a level on this link."""
+        return Price(
+            share_per_weight=level,
+            capacity_bytes_per_second=self.capacity or 1.0,
+            packet_overhead_s=self.packet_overhead_s,
+            yielding_weight=floors.weight,
+            kept_floor=floors.kept,
+        )
 
+    def _histories(self, memory_bytes: float, find: Find) -> tuple[Column, list[Binding], list[str]]:
+        """Return D = clip(λ·w/m, Dmin, min(Dmax, τ·u − δ)) with Σ m·D ≤ M, what stops each, and what gives way.
 
-def in_steps(capacity: float, budget: float) -> tuple[float, float]:
-    """Return a capacity, at least the budget (bytes/s), and the part of it that the budget is.
-
-    Both come in steps of half a per cent, so a link that hardly moves asks the program nothing new.
-    """
-    budget, capacity = (math.exp(round(math.log(c) / _STEP) * _STEP) if c >= 1.0 else 0.0 for c in (budget, capacity))
-    capacity = max(capacity, budget)
-    return capacity, min(1.0, max(_LEAST_SHARE, round(budget / capacity, 6))) if capacity > 0.0 else 0.0
+        τ = Dmax·a, at most the latency budget, is the time that a full history stands for, and δ = Dmin is the reserve
+        of (3). Where the floor and δ collide, δ shrinks, so the depth is continuous and monotone in the rate.
+        """
+        rows, slots, least = self.rows, self.rows.slots, self.rows.min_depths
+        of_link_s = rows.max_depths * self.costs_s
+        most_hz = np.where(np.isinf(rows.wishes_hz), 1.0 / self.costs_s, rows.wishes_hz)
+        justified = np.minimum(of_link_s, rows.latencies_s) * most_hz - least
+        most = np.clip(justified, least, rows.max_depths)
+        # One sample is the least that a history can hold, so only what is above it gives way.
+        spare, deficit = slots * (least - 1.0), float((slots * least).sum()) - memory_bytes
+        floors, level = Yielding(), 0.0
+        if deficit > TOLERANCE * memory_bytes:
+            floors = yielding(rows.weights, spare, deficit)
+        else:
+            level = find(rows.weights, slots * least, slots * most, memory_bytes)
+        words = floors.words("depth floor", rows.weights, spare)
+        if is_short := slots.sum() > memory_bytes * (1.0 + TOLERANCE):
+            words.append("memory budget below one sample per topic")
+        kept = 1.0 + (least - 1.0) * floors.parts(rows.weights)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            depths = np.where(slots > 0.0, np.clip(level * rows.weights / slots, kept, most), most)
+        ceilings = np.select(
+            [justified < least, justified >= rows.max_depths, rows.latencies_s < of_link_s],
+            [Binding.FLOOR, Binding.MAX_DEPTH, Binding.LATENCY_BUDGET],
+            Binding.LINK,
+        )
+        lacks_memory = is_short | (depths < least)
+        bindings = np.select(
+            [lacks_memory, depths >= most, depths > least], [Binding.MEMORY, ceilings, Binding.MEMORY], Binding.FLOOR
+        )
+        return depths, [Binding(each) for each in bindings.tolist()], words

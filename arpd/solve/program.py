@@ -6,17 +6,14 @@ Design: docs/design.md, The program.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
 from arpd.model.settings import Backend, Policy
 from arpd.solve.backends import Solver
-from arpd.solve.eq4 import period_ns, whole
+from arpd.solve.eq4 import AlikeOnLink, period_ns, whole
 from arpd.solve.level import water_level
 from arpd.solve.link import Link, Rows
-from arpd.solve.memory import divide_memory
-from arpd.solve.uniform import EvenLink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -25,9 +22,7 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
     from arpd.model.settings import Settings
     from arpd.solve.level import Column
-    from arpd.solve.memory import Histories
-
-_REMEMBERED = 4  # answers: those of the last turns, and the lasting one
+    from arpd.solve.link import Division
 
 
 class Program:
@@ -57,7 +52,7 @@ class Program:
         self._settings = settings
         self._solver = Solver(backend or settings.program.backend)
         self._clock = clock
-        self._take(())
+        self._rows = Rows(())
 
     @property
     def outcomes(self) -> Mapping[tuple[str, str], int]:
@@ -82,18 +77,47 @@ class Program:
         Parameters
         ----------
         capacity_bytes_per_second : C, after cross traffic and before headroom, ≥ 0 (bytes/s)
-        topics : rows of the program; while they are the same object, the last answers are remembered
+        topics : rows of the program
         memory_budget_bytes : M, memory that all histories may take, ≥ 0 (bytes)
         packet_overhead_s : measured t_ovh, ≥ 0; None = as configured (s)
         share : part of the capacity to divide, 0..1; None = the headroom
         crossing : topics that cross the link, managed or not; only the uniform policy needs it
         """
-        link = self._settings.link
-        overhead_s = (link.packet_overhead_s or 0.0) if packet_overhead_s is None else packet_overhead_s
-        share = link.headroom if share is None else share
-        if topics is not self._rows.topics:
-            self._take(topics)
-        return self._remembered(capacity_bytes_per_second, memory_budget_bytes, overhead_s, share, crossing)
+        started_s, capacity, memory_bytes = self._clock(), capacity_bytes_per_second, memory_budget_bytes
+        overhead_s = self._settings.link.packet_overhead_s or 0.0 if packet_overhead_s is None else packet_overhead_s
+        share = self._settings.link.headroom if share is None else share
+        if not (0.0 <= capacity < math.inf and 0.0 <= memory_bytes < math.inf and 0.0 <= share <= 1.0):
+            raise ValueError(
+                f"capacity {capacity!r} and memory {memory_bytes!r} must be ≥ 0, share {share!r} within 0..1"
+            )
+        if not topics:
+            return Allocation(
+                topics=(),
+                status=AllocationStatus.EMPTY,
+                binding=Binding.NOTHING,
+                capacity_bytes_per_second=capacity * share,
+            )
+        answered: set[Backend] = set()
+
+        def find(weights: Column, low: Column, high: Column, budget: float) -> float:
+            level, backend = self._solver.level(weights, low, high, budget)
+            answered.update([backend] if backend else ())
+            return level
+
+        link = self._link(capacity, topics, overhead_s, share, crossing)
+        division = link.divide(memory_bytes, find)
+        rows = _published(link, division)
+        return Allocation(
+            topics=rows,
+            status=AllocationStatus.DEGRADED if division.given_up else AllocationStatus.OPTIMAL,
+            binding=_overall(rows),
+            capacity_bytes_per_second=capacity * share,
+            degradation="; ".join(division.given_up),
+            price=division.price,
+            uniform=division.uniform,
+            backend=answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM,
+            solve_s=self._clock() - started_s,
+        )
 
     def price(
         self,
@@ -105,67 +129,21 @@ class Program:
         crossing: int = 0,
     ) -> Price | None:
         """Return the price that `solve` would give, by the closed form alone; None without topics."""
-        if topics is not self._rows.topics:
-            self._take(topics)
         if not topics:
             return None
-        return self._link(capacity_bytes_per_second, packet_overhead_s, share, crossing).price(water_level)
+        return self._link(capacity_bytes_per_second, topics, packet_overhead_s, share, crossing).price(water_level)
 
-    def _take(self, topics: Sequence[Topic]) -> None:
-        self._rows = Rows(topics)
-        self._remembered = lru_cache(maxsize=_REMEMBERED)(self._solve)
-
-    def _solve(
-        self, capacity: float, memory_bytes: float, packet_overhead_s: float, share: float, crossing: int
-    ) -> Allocation:
-        started_s = self._clock()
-        if not (0.0 <= capacity < math.inf and 0.0 <= memory_bytes < math.inf and 0.0 <= share <= 1.0):
-            raise ValueError(
-                f"capacity {capacity!r} and memory {memory_bytes!r} must be ≥ 0, share {share!r} within 0..1"
-            )
-        budget = capacity * share
-        if not self._rows.topics:
-            return Allocation(
-                topics=(), status=AllocationStatus.EMPTY, binding=Binding.NOTHING, capacity_bytes_per_second=budget
-            )
-        answered: set[Backend] = set()
-
-        def find(weights: Column, low: Column, high: Column, budget: float) -> float:
-            level, backend = self._solver.level(weights, low, high, budget)
-            if backend:
-                answered.add(backend)
-            return level
-
-        link = self._link(capacity, packet_overhead_s, share, crossing)
-        price = link.price(find)
-        rates_hz = link.rates_hz(price)
-        histories = divide_memory(link, link.most_hz(price), memory_bytes, find)
-        for notes in (given_up := link.given_up(price), histories.given_up):
-            if notes:
-                self._solver.note_infeasible()
-        given_up += histories.given_up
-        topics = _published(link, rates_hz, histories)
-        return Allocation(
-            topics=topics,
-            status=AllocationStatus.DEGRADED if given_up else AllocationStatus.OPTIMAL,
-            binding=_overall(topics),
-            capacity_bytes_per_second=budget,
-            degradation="; ".join(given_up),
-            price=price,
-            uniform=link.uniform(price, topics[0].depth_applied) if isinstance(link, EvenLink) else None,
-            backend=answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM,
-            solve_s=self._clock() - started_s,
-        )
-
-    def _link(self, capacity: float, packet_overhead_s: float, share: float, crossing: int) -> Link:
+    def _link(self, capacity: float, topics: Sequence[Topic], overhead_s: float, share: float, crossing: int) -> Link:
+        if topics is not self._rows.topics:
+            self._rows = Rows(topics)
         if self._settings.program.policy is Policy.UNIFORM:
-            return EvenLink(self._rows, capacity, packet_overhead_s, share, crossing=crossing)
-        return Link(self._rows, capacity, packet_overhead_s, share)
+            return AlikeOnLink(self._rows, capacity, overhead_s, share, crossing=crossing)
+        return Link(self._rows, capacity, overhead_s, share)
 
 
-def _published(link: Link, rates_hz: Column, histories: Histories) -> tuple[TopicAllocation, ...]:
+def _published(link: Link, division: Division) -> tuple[TopicAllocation, ...]:
     """Round to whole nanoseconds and samples; a paused topic has the rate 0."""
-    columns = (rates_hz * link.costs_s, rates_hz, 1.0 / link.costs_s, histories.depths)
+    columns = (division.rates_hz * link.costs_s, division.rates_hz, 1.0 / link.costs_s, division.depths)
     return tuple(
         TopicAllocation(
             name=topic.name,
@@ -181,8 +159,8 @@ def _published(link: Link, rates_hz: Column, histories: Histories) -> tuple[Topi
         for topic, share, rate_hz, alone_hz, depth, binding, depth_binding in zip(
             link.rows.topics,
             *(column.tolist() for column in columns),
-            link.bindings(rates_hz),
-            histories.bindings,
+            link.bindings(division.rates_hz),
+            division.depth_bindings,
             strict=True,
         )
     )

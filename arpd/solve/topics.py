@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from operator import is_not
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Topic
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import ProgramSettings, Settings
 
 _LEAST_BUDGET_BYTES = 2.0**20
-_NOISE = 0.02  # of a measured rate or size
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,48 +35,6 @@ class Traffic:
     payload_bytes: float
     source_rate_hz: float
     copies: int = 1
-
-    def is_near(self, other: Traffic) -> bool:
-        """Return whether another measurement of the topic differs by noise alone."""
-        return (
-            self.copies == other.copies
-            and math.isclose(self.source_rate_hz, other.source_rate_hz, rel_tol=_NOISE)
-            and math.isclose(self.payload_bytes, other.payload_bytes, rel_tol=_NOISE)
-        )
-
-
-class Demand:
-    """Rows of the live publishers, tick after tick; a row stays the same object while it changes by noise alone.
-
-    Rates and sizes are measured, so they differ a little in each announcement. With the same rows the program has the
-    same answer, and nothing is solved again.
-    """
-
-    def __init__(self) -> None:
-        self._settings: Settings | None = None
-        self._publishers: Iterable[PublisherState] = ()
-        self._known: dict[str, tuple[Traffic, Topic]] = {}
-        self._topics: tuple[Topic, ...] = ()
-
-    def topics(self, publishers: Iterable[PublisherState], settings: Settings) -> tuple[Topic, ...]:
-        """Return one row per topic that crosses the link and has published, by name, as old as noise allows.
-
-        Parameters
-        ----------
-        publishers : the same object until something was announced
-        """
-        if publishers is self._publishers and settings is self._settings:
-            return self._topics
-        known = self._known if settings is self._settings else {}
-        self._publishers, self._settings, self._known = publishers, settings, {}
-        for traffic in sorted(measured_traffic(publishers), key=lambda each: each.topic):
-            row = known.get(traffic.topic)
-            is_noise = row is not None and traffic.is_near(row[0])
-            self._known[traffic.topic] = row if row is not None and is_noise else (traffic, _row(traffic, settings))
-        topics = tuple(topic for _, topic in self._known.values())
-        if len(topics) != len(self._topics) or any(map(is_not, topics, self._topics)):
-            self._topics = topics
-        return self._topics
 
 
 def rows_of_traffic(traffic: Iterable[Traffic], settings: Settings) -> tuple[Topic, ...]:

@@ -25,7 +25,7 @@ _OK = "ok"
 _CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _REASONS = ("budget", "dwell")
 _NOT_APPLIED = ("refused", "timeout")
-_OUTCOMES = ("disagreed", "failed", "infeasible", "solved")
+_OUTCOMES = ("disagreed", "failed", "solved")
 _EFFECTS = ("awaiting_restart", "in_force")
 
 _COUNTERS: tuple[tuple[str, str, Callable[[Totals], float]], ...] = (
@@ -94,13 +94,6 @@ _COUNTERS_BY: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Totals], Map
         "backend",
         tuple(Backend),
         lambda t: _solves(t, "failed"),
-    ),
-    (
-        "arpd_solves_infeasible",
-        "Solves found infeasible before a back end was asked, because the minima do not all fit.",
-        "backend",
-        tuple(Backend),
-        lambda t: _solves(t, "infeasible"),
     ),
 )
 

@@ -18,7 +18,7 @@ from arpd.sim.link import LinkModel
 from arpd.sim.loss import GilbertElliott, LossStep
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.solve.topics import Demand
+from arpd.solve.topics import measured_traffic, rows_of_traffic
 from tests.sim.watched import Tick, watch
 
 MBIT = 125_000.0
@@ -137,7 +137,7 @@ def test_no_rate_is_above_what_its_source_wanted(seed):
     """No planned rate exceeds the source's rate by more than the margin for jitter."""
     desired: dict[str, float] = {}
     for tick in anywhere(seed):
-        for topic in Demand().topics(tick.snapshot.observation.publishers, SETTINGS):
+        for topic in rows_of_traffic(measured_traffic(tick.snapshot.observation.publishers), SETTINGS):
             desired[topic.name] = max(topic.desired_rate_hz, desired.get(topic.name, 0.0))
         for name, row in tick.decision.plan.topics.items():
             assert row.rate_hz <= _SOURCE_MARGIN * desired[name] * (1 + 1e-9), (tick.t_s, name)
@@ -149,7 +149,8 @@ def test_a_price_keeps_the_budget(seed):
     for tick in anywhere(seed):
         price, rows = tick.decision.price, tick.decision.plan.topics
         # Topics that are not heard, as beyond an outage, have no part in the division, and none takes more than it has.
-        topics = {topic.name: topic for topic in Demand().topics(tick.snapshot.observation.publishers, SETTINGS)}
+        traffic = measured_traffic(tick.snapshot.observation.publishers)
+        topics = {topic.name: topic for topic in rows_of_traffic(traffic, SETTINGS)}
         heard = [
             replace(rows[topic.name], rate_hz=min(rows[topic.name].rate_hz, topics[topic.name].desired_rate_hz))
             for topic in tick.snapshot.allocation.topics

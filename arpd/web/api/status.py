@@ -267,7 +267,7 @@ class Totals(Part):
     ticks_late: Count
     """Ticks that began more than half a period late."""
     solves: dict[str, dict[str, Count]]
-    """Solver runs by back end, then by outcome (solved, infeasible, failed, disagreed)."""
+    """Solver runs by back end, then by outcome (solved, failed, disagreed)."""
     cross_check_disagreements: Count
     """Answers of the back end that missed the budget; the closed form answered instead."""
     levels: dict[str, Count]

@@ -236,7 +236,7 @@ def test_the_heaviest_is_cut_last():
 
 
 def test_degradation_is_named_and_counted(monkeypatch):
-    """A degraded answer names the cut floors, pauses with deadline 0, and needs no solver."""
+    """A degraded answer names the cut floors, pauses with deadline 0, and asks no solver."""
     monkeypatch.setattr(osqp_, "level", lambda *_: pytest.fail("asked"))
     topics = [topic("/a", min_rate_hz=10.0), topic("/b", min_rate_hz=10.0, weight=2.0)]
     solver = program(Backend.OSQP)
@@ -246,7 +246,6 @@ def test_degradation_is_named_and_counted(monkeypatch):
     assert (paused.binding, kept.binding) == (Binding.LINK, Binding.LINK)
     assert kept.rate_hz == pytest.approx(8.5)
     assert allocation.degradation == "rate floor of weight 1 given up; rate floor of weight 2 cut to 85%"
-    assert solver.outcomes == {("osqp", "infeasible"): 1}
 
 
 def test_memory_below_the_depth_floors_degrades():
@@ -309,15 +308,6 @@ def test_a_share_is_a_part(share):
     """A share below 0 or above 1 is refused."""
     with pytest.raises(ValueError, match="share"):
         program().solve(1e6, [topic()], AMPLE, share=share)
-
-
-def test_an_answer_that_is_asked_for_at_every_tick_is_kept():
-    """Budgets of ticks come and go, and the lasting one between them is divided once."""
-    solver, topics = program(), (topic(),)
-    lasting = solver.solve(1e5, topics, AMPLE)
-    for tick in range(20):
-        solver.solve(1e5, topics, AMPLE, share=tick / 100)
-        assert solver.solve(1e5, topics, AMPLE) is lasting
 
 
 def test_a_wish_below_the_floor_lowers_it():

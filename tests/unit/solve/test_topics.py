@@ -9,8 +9,8 @@ from arpd.model.observation import MemoryState
 from arpd.model.settings import ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
 from arpd.solve.topics import (
-    Demand,
     assumed_traffic,
+    measured_traffic,
     memory_budget_bytes,
     rows_of_traffic,
 )
@@ -26,7 +26,7 @@ def driver(topic="/scan", node="/driver", **fields):
 def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
     """Wire bytes come from the payload, the desired rate from the source, the rest from the configuration."""
     preferences = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
-    (row,) = Demand().topics([driver()], Settings(topics={"/scan": preferences}))
+    (row,) = rows_of_traffic(measured_traffic([driver()]), Settings(topics={"/scan": preferences}))
     size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
@@ -38,7 +38,9 @@ def test_an_assumed_topic_makes_the_row_of_a_measured_one():
     """The same payload and source with one remote reader give the same row, offline and in the daemon."""
     preferences = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
     settings = Settings(topics={"/scan": preferences})
-    assert rows_of_traffic(assumed_traffic(settings), settings) == Demand().topics([driver()], settings)
+    assert rows_of_traffic(assumed_traffic(settings), settings) == rows_of_traffic(
+        measured_traffic([driver()]), settings
+    )
 
 
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
@@ -47,7 +49,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
         driver(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
         driver(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
     ]
-    (row,) = Demand().topics(publishers, Settings())
+    (row,) = rows_of_traffic(measured_traffic(publishers), Settings())
     size, packets = wire_size(100.0, rate_hz=30.0)
     assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
 
@@ -55,7 +57,7 @@ def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
 def test_local_and_unmeasured_topics_get_no_row():
     """A topic needs a reader on another host and a known payload."""
     publishers = [driver("/local", direction=Direction.LOCAL), driver("/new", payload_bytes=0.0)]
-    assert Demand().topics(publishers, Settings()) == ()
+    assert rows_of_traffic(measured_traffic(publishers), Settings()) == ()
 
 
 @pytest.mark.parametrize(
@@ -73,7 +75,7 @@ def test_local_and_unmeasured_topics_get_no_row():
 def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
     """Neither floor nor desired rate exceeds the source; a silent topic keeps its floor."""
     settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
-    (row,) = Demand().topics([driver(source_rate_hz=source_hz)], settings)
+    (row,) = rows_of_traffic(measured_traffic([driver(source_rate_hz=source_hz)]), settings)
     assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
 
 
