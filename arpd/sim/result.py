@@ -45,7 +45,6 @@ class TopicResult(Reception):
     offered : samples that the application published
     withheld : samples that pacing did not send; they are not lost
     sent : samples written to the link
-    handed : samples that the far end of the relay had written when the last one reached the reader; None = no far end
     """
 
     topic: str
@@ -54,7 +53,6 @@ class TopicResult(Reception):
     offered: int
     withheld: int
     sent: int
-    handed: int | None = None
 
     @property
     def stalled_ratio(self) -> float:
@@ -62,19 +60,9 @@ class TopicResult(Reception):
         return max(0.0, 1 - self.offered / self.expected) if self.expected else 0.0
 
     @property
-    def unsent(self) -> int:
-        """Samples that were neither sent nor withheld, and so were lost on the robot."""
-        return max(0, self.offered - self.withheld - self.sent)
-
-    @property
     def lost(self) -> int:
         """Samples that were sent but never arrived."""
         return max(0, self.sent - self.received)
-
-    @property
-    def lost_by_reader(self) -> int:
-        """Samples that the far end wrote and that never arrived: lost on the reader's own host."""
-        return 0 if self.handed is None else max(0, self.handed - self.received)
 
     @property
     def loss_ratio(self) -> float:

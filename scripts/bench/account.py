@@ -15,8 +15,8 @@ from scripts.bench.samples import sources_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from scripts.bench.harness import Robot
     from scripts.bench.samples import Topic
+    from scripts.bench.sides import Robot
 
 GROUPS = ("commands", "small", "paired", "large")
 LATE_MS = 100.0

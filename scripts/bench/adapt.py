@@ -16,29 +16,26 @@ from statistics import fmean, median
 from typing import Any
 
 import numpy as np
-import yaml
 
 from arpd.govern.what_if import OfflinePlanner
-from arpd.model.endpoints import Direction
 from arpd.model.wire import wire_size
-from arpd.sim.demo import DEMO_CONFIG, demo_settings, demo_topics
+from arpd.sim.demo import demo_settings
 from arpd.sim.trace import read_trace
 from arpd.solve.eq4 import Eq4Problem, rate_of
 from arpd.solve.topics import assumed_traffic
 from scripts.bench.child import ChildError
-from scripts.bench.harness import PREFIX, SIDES, Robot, errors, queues_s, settled_s, world_of
+from scripts.bench.harness import errors, queues_s, settled_s
 from scripts.bench.links import MBIT, Course, at
 from scripts.bench.report import Summary, Table, figure, spread, table
-from scripts.bench.samples import BASE, Topic
+from scripts.bench.robots import demo_robot
+from scripts.bench.sides import PREFIX, SIDES, Robot
+from scripts.bench.world import world_of
 
 WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
 ROUNDS, DURATION_S, CALM_S = 3, 28.0, 5.0
 _OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
 _GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
 SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
-_NODES = {"/scan/front": "lidar", "/scan/rear": "lidar", "/camera/image/compressed": "camera", "/points": "points"}
-_NODES |= dict.fromkeys(("/imu", "/odom", "/joint_states"), "chassis")
-
 _COLUMNS = {
     "latency p50 ms": "p50_ms",
     "p99 ms": "p99_ms",
@@ -95,24 +92,6 @@ def _bursts(seed: int) -> Course:
         course += [(now_s, fast, rng.choice((0.5, 1.0))), (end_s, fast, 0.0)]
         now_s = end_s + rng.expovariate(1.0 / _GOOD_S)
     return course
-
-
-def demo_robot() -> Robot:
-    """Return the demo's robot, with its names and weights for a relay with two ends."""
-    topics = tuple(
-        Topic(
-            name=topic.name.removeprefix(PREFIX),
-            type_name="std_msgs/String",
-            rate_hz=topic.rate_hz,
-            size=topic.payload_bytes,
-            node=BASE if topic.direction is Direction.ACTUATION else _NODES.get(topic.name, "slow"),
-        )
-        for topic in demo_topics()
-    )
-    wanted = yaml.safe_load(DEMO_CONFIG.read_text("utf-8"))["topics"]
-    return Robot(
-        topics=topics, settings={"topics": [{**each, "name": each["name"].removeprefix(PREFIX)} for each in wanted]}
-    )
 
 
 def robot_for(way: str, course: Course, robot: Robot) -> Robot:

@@ -22,17 +22,18 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from scripts.bench.child import becomes_true
-from scripts.bench.harness import SIDES, Robot, world_of
 from scripts.bench.links import MBIT, Course
 from scripts.bench.nodes import Service
 from scripts.bench.report import Summary, figure, table
 from scripts.bench.samples import BASE, Topic
+from scripts.bench.sides import SIDES, Robot
+from scripts.bench.world import world_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from scripts.bench.harness import World
+    from scripts.bench.world import World
 
 MINUTES, QUICK_MINUTES = 10.0, 0.75
 _AFTER_KILL_S = 1.0  # RestartSec= of the units

@@ -1,6 +1,6 @@
 """The processes around arpd: sources, sinks, a service and its caller, in plain rclpy or with AdaptivePublishers.
 
-Usage: python -m scripts.bench.nodes WORLD.json NAME      (`scripts.bench.harness.World` writes the file)
+Usage: python -m scripts.bench.nodes WORLD.json NAME      (`scripts.bench.world.World` writes the file)
        python -m scripts.bench.nodes bare WORLD.json      a relay in ten lines of rclpy
        python -m scripts.bench.nodes crowd FIRST COUNT    so many idle nodes, each with a participant of its own
 
@@ -34,6 +34,7 @@ _KEPT_DEPTH = 1000  # longer than any outage
 _POLL_S, _REST_S = 0.002, 0.05
 _LOOK_S = 50e-6  # per topic, so that a thousand empty readers leave most of a core to others
 _APART_S = 0.0037  # no two processes of a robot tick together
+_MOST_NOTED = 2000  # arrivals of a topic in a run without an end
 _LATE_S = 0.1  # a timer that is later, and later than its period, leaves out ticks
 _SWAP_DEPTHS = (11, 10)
 
@@ -188,7 +189,8 @@ class Talker:
             if due_s >= self._from_s:
                 source.first = source.number if source.first is None else source.first
                 source.published += 1
-            source.sent.append((source.number, now_s))
+            if self._until_s < math.inf:
+                source.sent.append((source.number, now_s))
             source.publisher.publish(source.template.sample(source.number))
         return max(0.0, self._due[0][0] - time.monotonic()) if self._due else _REST_S
 
@@ -228,6 +230,7 @@ class Listener:
         self._first = {name: self._templates[numbers[0]] for name, numbers in read.items()}
         self.arrivals: dict[str, list[tuple[int, int, int, int, bool]]] = {name: [] for name in read}
         self.writers = dict.fromkeys(read, 0)
+        self.is_endless = False
         self._echo = None if echo is None else (echo.answers, Template(echo), created(node, echo, way))
         self._readers = {}
         for name, numbers in read.items():
@@ -251,6 +254,8 @@ class Listener:
                 is_whole = answers > 0 or (template is not None and template.is_whole(sample, number))
                 self.arrivals[name].append((source, number, sent_ns, now_ns, is_whole))
                 self.writers[name] += about["publication_sequence_number"] == 1
+                if self.is_endless and len(self.arrivals[name]) > _MOST_NOTED:
+                    del self.arrivals[name][: _MOST_NOTED // 2]
                 if self._echo is not None and number % self._echo[0] == source:
                     self._echo[2].publish(self._echo[1].answer(source, number, sent_ns))
 
@@ -357,6 +362,7 @@ class Process:
                 return {"unmatched": unmatched, "is_read": self.talker.is_read()}
             case "begin":
                 self.talker.begin(order["begin_s"], order["from_s"], order["until_s"])
+                self.listener.is_endless = math.isinf(order["until_s"])
                 if self.caller is not None:
                     self.caller.begin(order["from_s"], order["until_s"])
                 return {"begun": True}

@@ -17,9 +17,10 @@ from typing import Any
 from arpd.sim.result import percentile
 from arpd.solve.eq4 import Eq4Problem, whole
 from scripts.bench.child import ChildError
-from scripts.bench.harness import SIDES, Robot, Side, world_of
 from scripts.bench.report import Summary, figure, spread, table
 from scripts.bench.samples import BASE, Topic
+from scripts.bench.sides import SIDES, Robot, Side
+from scripts.bench.world import world_of
 
 SENSORS, ROUNDS, SECONDS, DRAIN_S = 11, 2, 4.0, 8.0
 RMAX_HZ, DEPTHS = (100, 200, 500, 1000), (1, 5000)

@@ -33,13 +33,33 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import yaml
+
+from arpd.sim.demo import COMMAND_TOPIC, DEMO_CONFIG, demo_topics
 from scripts.bench.child import ChildError
-from scripts.bench.harness import SIDES, Robot, conditions, world_of
+from scripts.bench.harness import conditions
 from scripts.bench.links import courses
 from scripts.bench.nodes import Service
 from scripts.bench.samples import BASE, Topic
+from scripts.bench.sides import PREFIX, SIDES, Robot
+from scripts.bench.world import world_of
 
 _MAP_SERVER = "map_server"
+#: Type and node of each topic of the demo's robot; arpd/sim/demo.yaml has names, sizes and rates.
+_DEMO = {
+    "/scan/front": ("sensor_msgs/LaserScan", "lidar"),
+    "/scan/rear": ("sensor_msgs/LaserScan", "lidar"),
+    "/camera/image/compressed": ("sensor_msgs/CompressedImage", "camera"),
+    "/points": ("sensor_msgs/PointCloud2", "points"),
+    "/imu": ("sensor_msgs/Imu", "chassis"),
+    "/odom": ("nav_msgs/Odometry", "chassis"),
+    "/joint_states": ("sensor_msgs/JointState", "chassis"),
+    "/range/front": ("sensor_msgs/Range", "slow"),
+    "/gps/fix": ("sensor_msgs/NavSatFix", "slow"),
+    "/temperature": ("sensor_msgs/Temperature", "slow"),
+    "/battery": ("sensor_msgs/BatteryState", "slow"),
+    COMMAND_TOPIC: ("geometry_msgs/TwistStamped", BASE),
+}
 
 
 def _topic(name: str, type_name: str, rate_hz: float, size: int, node: str, **more: Any) -> Topic:
@@ -112,8 +132,23 @@ GROUPED = {"rgbd": ("/depth/image", "/depth/camera_info", "/color/image", "/colo
 _SERVICES = {"nav2": Service(name="/map_server/map", node=_MAP_SERVER, answer_bytes=4_000_000, every_s=10.0)}
 
 
+def demo_robot() -> Robot:
+    """Return the demo's robot, with its names and weights where no prefix is in use."""
+    topics = {topic.name.removeprefix(PREFIX): topic for topic in demo_topics()}
+    wanted = yaml.safe_load(DEMO_CONFIG.read_text("utf-8"))["topics"]
+    return Robot(
+        topics=tuple(
+            _topic(name, type_name, topics[name].rate_hz, topics[name].payload_bytes, node)
+            for name, (type_name, node) in _DEMO.items()
+        ),
+        settings={"topics": [{**each, "name": each["name"].removeprefix(PREFIX)} for each in wanted]},
+    )
+
+
 def robot_of(name: str) -> Robot:
     """Return a robot; with "-small" after its name, only the small topics and the commands."""
+    if name == "demo":
+        return demo_robot()
     whole = name.removesuffix("-small")
     topics = _TOPICS[whole]
     if whole != name:
@@ -187,7 +222,9 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     listed = partial(str.split, sep=",")
     links = list(courses(20.0, 6.0))
-    parser.add_argument("--robots", type=listed, default=list(_TOPICS), metavar="LIST", help=", ".join(_TOPICS))
+    parser.add_argument(
+        "--robots", type=listed, default=list(_TOPICS), metavar="LIST", help=", ".join([*_TOPICS, "demo"])
+    )
     parser.add_argument("--links", type=listed, default=links, metavar="LIST", help="default all")
     parser.add_argument("--bottlenecks", type=listed, default=["sender", "middle"], metavar="LIST", help="default both")
     parser.add_argument("--sides", type=listed, default=["plain", "large_data", "two_ends"], metavar="LIST")

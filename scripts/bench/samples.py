@@ -29,9 +29,10 @@ _MODULUS = 101  # of what they say; fits in a signed byte
 _NANOSECONDS = 10**9
 #: Field of each type that is filled up.
 _FILLED = {
-    **dict.fromkeys(("Image", "PointCloud2", "OccupancyGrid", "UInt8MultiArray"), "data"),
+    **dict.fromkeys(("Image", "CompressedImage", "PointCloud2", "OccupancyGrid", "UInt8MultiArray"), "data"),
     "LaserScan": "ranges",
     "Joy": "axes",
+    "JointState": "position",
     "BatteryState": "cell_voltage",
 }
 

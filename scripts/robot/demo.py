@@ -15,35 +15,45 @@ import socket
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack, contextmanager, suppress
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.live import Live
 
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
+from arpd.sim.result import TopicResult
 from arpd.sim.schedule import RateSchedule
-from scripts.netns.simlink import SimLink, available, user_namespace_argv
-from scripts.robot.manner import RCLPY_DEFAULTS, WITH_TWO_ENDS
-from scripts.robot.proxy import window
-from scripts.robot.report import Pair, as_document, final_table, live_view, losses_text, pair_up, verdict
-from scripts.robot.run import HTTP_PORT, DemoError, Side, play, robot, run
+from scripts.bench.robots import demo_robot
+from scripts.bench.sides import SIDES, Side
+from scripts.bench.world import world_of
+from scripts.netns.simlink import available, user_namespace_argv
+from scripts.robot.proxy import HTTP_PORT, window
+from scripts.robot.report import Pair, as_document, final_table, losses_text, pair_up, verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from scripts.bench.account import Account
+    from scripts.bench.links import Course
 
 FULL = "0:20mbit,20:5mbit,50:20mbit"
 QUICK = "0:20mbit,8:5mbit,26:20mbit"
 _TAIL_S = {FULL: 20.0, QUICK: 12.0}
 _NESTED = "ARPD_DEMO_NESTED"
 _LISTENER = "ARPD_DEMO_LISTENER"
+_SHOW_S = 0.5
 _LEGEND = (
-    "loss: sent on the link and never received.  withheld: pacing chose a fresher sample instead.",
+    "loss: sent and never received.  withheld: pacing chose a fresher sample instead.",
     "stalled: not published because publish() blocked.  age: of the newest sample at the reader, sampled at 20 Hz.",
     "In both runs the readers hold two seconds of each topic, and the sensors' writers ten samples.",
 )
+
+
+class DemoError(ArpdError):
+    """A part of the demo did not start, or the link was bypassed."""
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
@@ -87,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
             return 0
         if usable:
             console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
-            pairs = compare_for_real(logs, schedule, duration_s, console)
+            pairs = compare_for_real(logs, schedule, duration_s)
         else:
             why = f"no network namespaces here ({reason}): " if reason else ""
             console.print(f"{why}using the built-in simulated link, in virtual time", highlight=False, soft_wrap=True)
@@ -108,45 +118,82 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float, console: Console) -> list[Pair]:
+def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides over the real link, one after the other."""
-    results = []
-    for is_managed in (False, True):
-        name = "with arpd" if is_managed else "without arpd"
-        with ExitStack() as stack:
-            with progress(f"{name}: starting the robot"):
-                side = stack.enter_context(_robot(logs, schedule, is_managed=is_managed))
-            show = stack.enter_context(_watching(side, schedule, duration_s, name, console))
-            results.append(run(side, schedule, duration_s, on_tick=show))
-    return pair_up(*results)
+    return pair_up(
+        _run(SIDES["plain"], logs / "without", schedule, duration_s, "without arpd"),
+        _run(SIDES["two_ends"], logs / "with", schedule, duration_s, "with arpd"),
+    )
+
+
+def _run(side: Side, logs: Path, schedule: RateSchedule, duration_s: float, title: str) -> list[TopicResult]:
+    robot, course = demo_robot(), _course(schedule)
+    with (
+        progress(title, total=duration_s) as shown,
+        world_of(robot, replace(side, warm_up_s=0.0), rate=course[0][1], logs=logs) as world,
+    ):
+        shown.reach(0.0, "starting the robot")
+        times_s = [k * _SHOW_S for k in range(int(duration_s / _SHOW_S))]
+        events = [
+            (at_s, partial(shown.reach, at_s, f"the link carries {schedule.rate_at(at_s) * 8e-6:.1f} Mbit/s"))
+            for at_s in times_s
+        ]
+        account, spent = world.play(course, duration_s, events=events)
+    if spent["unmatched"] or spent["ended"]:
+        raise DemoError(f"without a reader: {spent['unmatched']}; ended: {spent['ended']}; see {logs}")
+    results = [_result(account, topic.name, topic.rate_hz) for topic in robot.topics]
+    crossed = (spent["to_base_mbit"] + spent["to_robot_mbit"]) * duration_s / 8e-6
+    delivered = sum(result.delivered_bytes for result in results)
+    if crossed < 0.5 * delivered:
+        raise DemoError(f"only {crossed:.0f} bytes crossed the link for {delivered} delivered: the link was bypassed")
+    return results
+
+
+def _course(schedule: RateSchedule) -> Course:
+    return [(step.start_s, schedule.rate_at(step.start_s), 0.0) for step in schedule.steps]
+
+
+def _result(account: Account, name: str, rate_hz: float) -> TopicResult:
+    found, withheld = account.topics[name], account.withheld.get(name, 0)
+
+    def seconds(milliseconds: float | None) -> float | None:
+        return None if milliseconds is None else milliseconds * 1e-3
+
+    return TopicResult(
+        topic=name,
+        source_rate_hz=rate_hz,
+        expected=found["offered"],
+        offered=found["published"],
+        withheld=withheld,
+        sent=found["published"] - withheld,
+        received=found["delivered"],
+        doubled=found["doubled"],
+        reordered=found["out_of_order"],
+        delivered_bytes=found["delivered"] * found["bytes"],
+        latency_p50_s=seconds(found["p50_ms"]),
+        latency_p99_s=seconds(found["p99_ms"]),
+        latency_max_s=seconds(found["max_ms"]),
+        age_p50_s=found["age_p50_s"],
+        age_p99_s=found["age_p99_s"],
+    )
 
 
 def serve(logs: Path, schedule: RateSchedule, duration_s: float, console: Console) -> None:
     """Keep the robot with arpd running, the schedule repeating, until Ctrl-C."""
-
-    def rate_at(elapsed_s: float) -> float:
-        return schedule.rate_at(elapsed_s % duration_s)
-
     inherited = os.environ.get(_LISTENER)
     listener = socket.socket(fileno=int(inherited)) if inherited else _listen()
+    course = _course(schedule)
     with (
         suppress(KeyboardInterrupt),
-        _robot(logs, schedule, is_managed=True) as side,
-        window(side.link.robot, HTTP_PORT, listener=listener) as url,
+        world_of(demo_robot(), replace(SIDES["two_ends"], warm_up_s=0.0), rate=course[0][1], logs=logs) as world,
+        ExitStack() as stack,
+        window(world.link.robot, HTTP_PORT, listener=listener) as url,
     ):
+        world.start(stack)
+        world.begin(math.inf)
         console.print(f"arpd is running; metrics: {url}/metrics   page: {url}/   Ctrl-C ends it", soft_wrap=True)
-        play(side, rate_at, math.inf, on_tick=lambda _elapsed_s: None)
-
-
-@contextmanager
-def _robot(logs: Path, schedule: RateSchedule, *, is_managed: bool) -> Iterator[Side]:
-    run_id = f"demo-{os.getpid()}-{int(is_managed)}"
-    folder = logs / ("with" if is_managed else "without")
-    with (
-        SimLink(run_id, rate_bytes_per_second=schedule.rate_at(0.0)) as link,
-        robot(link, folder, WITH_TWO_ENDS if is_managed else RCLPY_DEFAULTS) as side,
-    ):
-        yield side
+        while True:
+            world.follow(course, time.monotonic(), duration_s)
 
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
@@ -160,30 +207,6 @@ def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
             shown.step("with arpd" if is_managed else "without arpd")
             sides.append(simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics)
     return pair_up(*sides)
-
-
-@contextmanager
-def _watching(
-    side: Side, schedule: RateSchedule, duration_s: float, name: str, console: Console
-) -> Iterator[Callable[[float], None]]:
-    """Yield a function that shows the run: as a live table on a terminal, not at all in a pipe."""
-    if not console.is_terminal:
-        yield lambda _elapsed_s: None
-        return
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-
-        def show(elapsed_s: float) -> None:
-            view = live_view(
-                elapsed_s=elapsed_s,
-                duration_s=duration_s,
-                truth=schedule.rate_at(elapsed_s),
-                side=name,
-                status=side.status(),
-                arrivals=side.arrivals,
-            )
-            live.update(view, refresh=True)
-
-        yield show
 
 
 def _listen() -> socket.socket:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
+import math
 import re
 import shutil
 import sys
 import tempfile
+import time
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,10 +29,14 @@ from arpd.cli.client import DaemonAddress
 from arpd.cli.frame import Frame
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
-from arpd.sim.schedule import RateSchedule
-from scripts.netns.simlink import SimLink, available
-from scripts.robot.manner import WITH_ARPD
-from scripts.robot.run import REPO, DemoError, lost_during, play, robot
+from scripts.bench.links import MBIT
+from scripts.bench.report import REPO
+from scripts.bench.robots import demo_robot
+from scripts.bench.sides import SIDES
+from scripts.bench.world import world_of
+from scripts.netns.simlink import available
+from scripts.robot.demo import DemoError
+from scripts.robot.proxy import HTTP_PORT, window
 
 if TYPE_CHECKING:
     from typing import Literal, TypeAlias
@@ -38,8 +45,8 @@ if TYPE_CHECKING:
 
     Scheme: TypeAlias = Literal["light", "dark"]
 
-_SCHEDULE = RateSchedule.parse("0:20mbit,30:5mbit,55:16kbit,66:5mbit,72:20mbit,97:5mbit")
-_OUTAGE_S = (55.0, 66.0)
+_FAST, _SLOW, _OUT = (20 * MBIT, 0.0), (5 * MBIT, 0.0), (2000.0, 1.0)
+_COURSE = [(0.0, *_FAST), (30.0, *_SLOW), (55.0, *_OUT), (66.0, *_SLOW), (72.0, *_FAST), (97.0, *_SLOW)]
 _DURATION_S = 120.0
 _SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
 _COLUMNS, _LINES = 126, 36
@@ -69,12 +76,16 @@ def run_and_take(folder: Path) -> None:
     logs = Path(tempfile.mkdtemp(prefix="arpd-screenshots-"))
     print(f"logs in {logs}", file=sys.stderr)
     with (
-        SimLink(f"screenshots-{os.getpid()}", rate_bytes_per_second=_SCHEDULE.rate_at(0.0)) as link,
-        robot(link, logs, WITH_ARPD) as side,
+        world_of(demo_robot(), SIDES["two_ends"], rate=_FAST[0], logs=logs) as world,
+        ExitStack() as stack,
+        window(world.link.robot, HTTP_PORT) as url,
         progress("the robot at work", total=_DURATION_S) as shown,
     ):
-        play(side, _SCHEDULE.rate_at, _DURATION_S, on_tick=shown.reach, loss_at=lost_during([_OUTAGE_S]))
-        take(side.url, folder)
+        world.start(stack)
+        world.begin(math.inf)
+        events = [(float(at_s), partial(shown.reach, at_s)) for at_s in range(int(_DURATION_S))]
+        world.follow(_COURSE, time.monotonic(), _DURATION_S, events=events)
+        take(url, folder)
 
 
 def take(url: str, folder: Path) -> None:

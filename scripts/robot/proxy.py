@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from scripts.netns.simlink import Host
 
+HTTP_PORT = 9464
+
 
 @contextlib.contextmanager
 def window(host: Host, port: int, *, listener: socket.socket | None = None) -> Iterator[str]:

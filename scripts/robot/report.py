@@ -1,4 +1,4 @@
-"""The demo's tables: live while it runs, and side by side at the end."""
+"""The demo's table: both runs side by side."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Group
 from rich.table import Table
-from rich.text import Text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,23 +59,10 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
     )
 
 
-def losses(result: TopicResult) -> dict[str, int]:
-    """Return the samples that were lost under arpd, by place; what it withheld on purpose is not lost."""
-    return {
-        "before_near_end": result.unsent,
-        "on_link": max(0, result.lost - result.lost_by_reader),
-        "behind_far_end": result.lost_by_reader,
-    }
-
-
 def losses_text(pairs: Sequence[Pair]) -> list[str]:
-    """Return a line for each topic that lost samples under arpd."""
-    found = {pair.with_arpd.topic: losses(pair.with_arpd).values() for pair in pairs}
-    return [
-        f"{topic} lost samples with arpd: {near} before the near end, {link} on the link, {far} behind the far end."
-        for topic, (near, link, far) in found.items()
-        if near or link or far
-    ]
+    """Return a line for each topic that lost samples under arpd; what it withheld on purpose is not lost."""
+    found = {pair.with_arpd.topic: pair.with_arpd.lost for pair in pairs}
+    return [f"{topic} lost {lost} samples with arpd." for topic, lost in found.items() if lost]
 
 
 def final_table(pairs: Sequence[Pair]) -> Table:
@@ -99,44 +84,6 @@ def final_table(pairs: Sequence[Pair]) -> Table:
     return table
 
 
-def live_view(
-    *, elapsed_s: float, duration_s: float, truth: float, side: str, status: dict[str, Any] | None, arrivals: Any
-) -> Group:
-    """Return the current state: the link, the estimate, the budget, every topic."""
-    head = Text(f"{side}  {elapsed_s:4.0f} / {duration_s:.0f} s   link carries {truth * 8e-6:.1f} Mbit/s")
-    table = Table(pad_edge=False)
-    table.add_column("topic", no_wrap=True)
-    columns = ("allowed Hz", "floor", "ceiling", "depth", "deadline ms", "arrived Hz", "worst ms", "withheld", "swaps")
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    if status is None:
-        for topic, now in arrivals.items():
-            table.add_row(topic, *[""] * 5, f"{now['rate_hz']}", f"{now['worst_s'] * 1e3:.0f}", "", "")
-        return Group(head, table)
-    link, plan = status["link"], status["plan"]
-    head.append(
-        f"\nestimate {link['capacity_bytes_per_second'] * 8e-6:.1f} Mbit/s ({link['kind']}, {link['state']})   "
-        f"queue {link['queue_delay_seconds'] * 1e3:.0f} ms   "
-        f"budget {status['allocation']['capacity_bytes_per_second'] * 8e-6:.1f} Mbit/s   plan {plan['generation']}"
-    )
-    for topic in status["topics"]:
-        now = arrivals.get(topic["topic"].removeprefix("/link"), {})
-        planned = topic["planned"] or {}
-        table.add_row(
-            topic["topic"],
-            _cell(topic["confirmed"]["paced_rate_hz"]),
-            _cell(planned.get("min_rate_hz")),
-            _cell(planned.get("rate_hz")),
-            _cell(topic["confirmed"]["depth"]),
-            _cell(topic["confirmed"]["deadline_ns"], scale=1e-6),
-            _cell(now.get("rate_hz")),
-            _cell(now.get("worst_s"), scale=1e3),
-            _cell(topic["withheld"]),
-            _cell(sum(topic["swaps"].values())),
-        )
-    return Group(head, table)
-
-
 def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
     """Return the whole comparison for JSON."""
     better, sentence = verdict(pairs)
@@ -153,7 +100,6 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
                     "loss_ratio": pair.with_arpd.loss_ratio,
                     "withheld_ratio": pair.with_arpd.withheld_ratio,
                     "lost": pair.with_arpd.lost,
-                    "losses": losses(pair.with_arpd),
                 },
             }
             for pair in pairs
@@ -168,10 +114,6 @@ def _p99_of_sent_s(result: TopicResult) -> float | None:
 
 def _less(ours: float | None, theirs: float | None) -> bool:
     return ours is not None and (theirs is None or ours < theirs)
-
-
-def _cell(value: float | None, *, scale: float = 1.0) -> str:
-    return "" if value is None else f"{value * scale:.4g}"
 
 
 def milliseconds(value: float | None) -> str:

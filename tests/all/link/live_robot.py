@@ -1,46 +1,54 @@
-"""The demo robot for tests: live, with arpd, over a real link."""
+"""The demo robot for tests: live, with AdaptivePublishers and arpd, over a real link."""
 
 from __future__ import annotations
 
-import os
-import signal
-from contextlib import contextmanager
+import time
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
-from scripts.netns.simlink import SimLink
-from scripts.robot.manner import WITH_ARPD
-from scripts.robot.run import PREFIX, SOURCES, robot
+from scripts.bench.nodes import BASE_SINK
+from scripts.bench.robots import demo_robot
+from scripts.bench.sides import SIDES
+from scripts.bench.world import world_of
+from scripts.robot.proxy import HTTP_PORT, window
 from tests.waiting import eventually
 
 FAST, SLOW = 20e6 / 8, 5e6 / 8
+TOPICS = {topic.name for topic in demo_robot().topics}
 # 5 Mbit/s cannot carry these topics at the source's rate; the others keep their rates and their deadlines.
-HEAVY = {PREFIX + topic for topic in ("/camera/image/compressed", "/points", "/scan/front", "/scan/rear")}
+HEAVY = {"/camera/image/compressed", "/points", "/scan/front", "/scan/rear"}
+_AT_MOST_S = 3600.0
 
 
 @contextmanager
 def live_robot(workdir):
-    """Yield the publishing robot and end it with the block."""
-    with SimLink(f"test-{os.getpid()}", rate_bytes_per_second=FAST) as link, robot(link, workdir, WITH_ARPD) as side:
-        side.signal(signal.SIGUSR1, *SOURCES)
-        yield side
+    """Yield the world of the publishing robot and a URL of its daemon."""
+    side = replace(SIDES["adaptive"], warm_up_s=0.0)
+    with (
+        world_of(demo_robot(), side, rate=FAST, logs=workdir) as world,
+        ExitStack() as stack,
+        window(world.link.robot, HTTP_PORT) as url,
+    ):
+        assert world.start(stack) == []
+        world.begin(_AT_MOST_S)
+        yield world, url
 
 
-def topics(side):
+def topics(world):
     """Return the topics of the status by name; a daemon that has no time to answer is asked again."""
-    status = eventually("the daemon answers", side.status)
+    status = eventually("the daemon answers", world.status)
     return {topic["topic"]: topic for topic in status["topics"]}
 
 
-def is_confirmed(side):
+def is_confirmed(world):
     """Return whether every topic is planned and confirmed."""
-    status = side.status()
-    return (
-        status is not None
-        and len(status["topics"]) == 12
-        and status["plan"]["topics"] == 12
-        and status["plan"]["confirmed"] == 12
+    status = world.status()
+    return status is not None and (
+        len(status["topics"]) == status["plan"]["topics"] == status["plan"]["confirmed"] == len(TOPICS)
     )
 
 
-def received(side, name):
-    """Return how often a topic arrived in the planner's last second."""
-    return side.arrivals.get(name, {}).get("rate_hz", 0)
+def newest_s(world, topic):
+    """Return how long ago a sample of a topic reached the base computer (s)."""
+    arrivals = world.children[BASE_SINK].ask(do="report")["arrivals"][topic]
+    return time.monotonic() - arrivals[-1][3] * 1e-9

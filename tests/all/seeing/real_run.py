@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import time
 import urllib.error
 import urllib.parse
@@ -19,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from scripts.netns.simlink import SimLink
-from scripts.robot.manner import WITH_ARPD
+from scripts.bench.report import REPO
 from scripts.robot.proxy import window
-from scripts.robot.run import REPO, SOURCES, Side, robot
-from scripts.robot.sensors import SENSORS
+from tests.all.link.live_robot import FAST, SLOW, TOPICS, live_robot
 from tests.waiting import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-FAST, SLOW = 20e6 / 8, 5e6 / 8
+    from scripts.bench.world import World
+    from scripts.netns.simlink import SimLink
+
 # They must fire while every packet is lost; the outage lasts until they do.
 OUTAGE_ALERTS = ("ArpdLinkDown", "ArpdPeerLost")
 PROMETHEUS_ETC = REPO / "etc" / "prometheus"
@@ -51,7 +50,7 @@ class RealRun:
     outage_alerts : the firing alerts at the end of the outage, by name
     """
 
-    side: Side
+    world: World
     url: str
     prometheus_url: str
     moments: dict[str, float] = field(default_factory=dict)
@@ -112,7 +111,7 @@ class RealRun:
 
     def logs(self) -> str:
         """Return the last lines of every process's log."""
-        texts = {log.name: log.read_text(errors="replace").splitlines() for log in self.side.workdir.glob("*.log")}
+        texts = {log.name: log.read_text(errors="replace").splitlines() for log in self.world.workdir.glob("*.log")}
         return "\n".join("\n".join([f"--- {name}", *text[-15:]]) for name, text in texts.items() if text)
 
 
@@ -120,29 +119,22 @@ class RealRun:
 def real_run(workdir: Path, *, prometheus: str) -> Iterator[RealRun]:
     """Start everything, play steady, slow, cut off and recovered, and keep it alive for the block."""
     with contextlib.ExitStack() as stack:
-        link = stack.enter_context(SimLink(f"seeing-{os.getpid()}", rate_bytes_per_second=FAST))
-        side = stack.enter_context(robot(link, workdir / "robot", WITH_ARPD))
-        _start_prometheus(side, prometheus, workdir / "prometheus")
-        run = RealRun(side=side, url=side.url, prometheus_url=stack.enter_context(window(link.robot, _PROMETHEUS_PORT)))
-        stack.callback(_kill, side)
+        world, url = stack.enter_context(live_robot(workdir / "robot"))
+        _start_prometheus(world, prometheus, workdir / "prometheus")
+        prometheus_url = stack.enter_context(window(world.link.robot, _PROMETHEUS_PORT))
+        run = RealRun(world=world, url=url, prometheus_url=prometheus_url)
         _play(run)
         yield run
 
 
-def _kill(side: Side) -> None:
-    """Kill all processes: a daemon that ends cleanly would wait for publishers, which end at the same time."""
-    for process in side.processes.values():
-        process.kill()
-
-
-def _start_prometheus(side: Side, prometheus: str, folder: Path) -> None:
+def _start_prometheus(world: World, prometheus: str, folder: Path) -> None:
     folder.mkdir()
     config = yaml.safe_load((PROMETHEUS_ETC / "prometheus.yml").read_text())
     config["global"].update(scrape_interval="1s", scrape_timeout="1s", evaluation_interval="1s")
     config["rule_files"] = [str(PROMETHEUS_ETC / name) for name in config.get("rule_files", ())]
     (folder / "prometheus.yml").write_text(yaml.safe_dump(config))
-    with (side.workdir / "prometheus.log").open("w") as log:
-        side.processes["prometheus"] = side.link.popen(
+    with (world.workdir / "prometheus.log").open("w") as log:
+        world.daemons["prometheus"] = world.link.popen(
             "robot",
             [
                 prometheus,
@@ -160,9 +152,8 @@ def _start_prometheus(side: Side, prometheus: str, folder: Path) -> None:
 
 def _play(run: RealRun) -> None:
     """Play each phase until its conditions come true."""
-    side, link = run.side, run.side.link
+    link = run.world.link
     run.begin("start")
-    side.signal(signal.SIGUSR1, *SOURCES)
     run.eventually("Prometheus scrapes the daemon", lambda: run.query("up == 1"))
     # The first plan counts on the least that was measured by then; on a busy machine that is too little.
     run.eventually("a plan for the fast link is confirmed", lambda: _level(run) > 1.3 * SLOW and _is_confirmed(run))
@@ -205,7 +196,7 @@ def _firing(alerts: str) -> str:
 
 def _is_confirmed(run: RealRun) -> bool:
     status = run.status()
-    return status["plan"]["topics"] == status["plan"]["confirmed"] == len(SENSORS) + 1
+    return status["plan"]["topics"] == status["plan"]["confirmed"] == len(TOPICS)
 
 
 def _level(run: RealRun) -> float:

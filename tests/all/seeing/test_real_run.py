@@ -18,8 +18,8 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from scripts.bench.report import REPO
 from scripts.netns.simlink import available
-from scripts.robot.run import REPO
 from tests.all.seeing.browser import chromium, visit
 from tests.all.seeing.real_run import PROMETHEUS_ETC, real_run
 
