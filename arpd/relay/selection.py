@@ -1,4 +1,4 @@
-"""Selection of what the relay with two ends may carry, from the patterns of the configuration."""
+"""One end's side: the names there, and which of them may cross the link, from the patterns of the configuration."""
 
 from __future__ import annotations
 
@@ -18,45 +18,55 @@ _ACTION_SERVICES = frozenset({"send_goal", "cancel_goal", "get_result"})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Selection:
-    """Names that may cross the link; all are those on the robot.
+class Side:
+    """The robot's side or the base computer's. On the link and in the configuration all names are those on the robot.
 
     An action of `relay.actions` crosses whole: its three services and its two topics, in both directions. No other name
     crosses that is hidden (a level begins with an underscore), and nothing of ROS or arpd itself. What `relay.deny`
     matches never crosses; for an action it is enough that `deny` matches the action.
     """
 
-    _to_base: re.Pattern[str]
-    _to_robot: re.Pattern[str]
+    _namespace: str  # of the robot's names on this side
+    _leaving: re.Pattern[str]
+    _entering: re.Pattern[str]
     _deny: re.Pattern[str]
     _services: re.Pattern[str]
     _actions: re.Pattern[str]
 
     @classmethod
-    def of(cls, settings: RelaySettings) -> Selection:
-        """Return the selection that the settings ask for."""
+    def of(cls, settings: RelaySettings, *, is_far: bool) -> Side:
+        """Return the robot's side, or the base computer's, which is far."""
+        leaving, entering = settings.to_base, settings.to_robot
+        if is_far:
+            leaving, entering = entering, leaving
         return cls(
-            _to_base=compile_patterns(settings.to_base),
-            _to_robot=compile_patterns(settings.to_robot),
+            _namespace=settings.namespace if is_far else "",
+            _leaving=compile_patterns(leaving),
+            _entering=compile_patterns(entering),
             _deny=compile_patterns(settings.deny),
             _services=compile_patterns(settings.services),
             _actions=compile_patterns(settings.actions),
         )
 
-    def to_base(self, name: str) -> bool:
-        """Return whether the topic may cross from the robot to the base computer."""
-        return self._is_carried(name, self._to_base)
+    def local_name(self, name: str) -> str:
+        """Return the name on this side of what has this name on the robot; an empty name stays empty."""
+        return self._namespace + name if name else name
 
-    def to_robot(self, name: str) -> bool:
-        """Return whether the topic may cross from the base computer to the robot."""
-        return self._is_carried(name, self._to_robot)
+    def robot_name(self, local: str) -> str | None:
+        """Return the name on the robot of what has this name here, None if it lies outside the namespace."""
+        return local.removeprefix(self._namespace) if local.startswith(f"{self._namespace}/") else None
+
+    def may_leave(self, name: str) -> bool:
+        """Return whether the topic may cross from this side to the other."""
+        return self._is_allowed(name, self._leaving, of_actions=_ACTION_TOPICS)
+
+    def may_enter(self, name: str) -> bool:
+        """Return whether the topic may cross from the other side to this one."""
+        return self._is_allowed(name, self._entering, of_actions=_ACTION_TOPICS)
 
     def may_call(self, name: str) -> bool:
         """Return whether the service may be called across the link, from either side."""
         return self._is_allowed(name, self._services, of_actions=_ACTION_SERVICES)
-
-    def _is_carried(self, topic: str, allowed: re.Pattern[str]) -> bool:
-        return self._is_allowed(topic, allowed, of_actions=_ACTION_TOPICS)
 
     def _is_allowed(self, name: str, allowed: re.Pattern[str], *, of_actions: frozenset[str]) -> bool:
         if is_internal(name) or self._deny.fullmatch(name):
@@ -70,23 +80,3 @@ class Selection:
             and self._actions.fullmatch(action) is not None
             and self._deny.fullmatch(action) is None
         )
-
-
-def far_name(name: str, namespace: str) -> str:
-    """Return the name on the base computer of what has this name on the robot.
-
-    Parameters
-    ----------
-    namespace : ``relay.namespace``, empty = none
-    """
-    return namespace + name
-
-
-def robot_name(name: str, namespace: str) -> str | None:
-    """Return the name on the robot of what has this name on the base computer, None if it lies outside the namespace.
-
-    Parameters
-    ----------
-    namespace : ``relay.namespace``, empty = none
-    """
-    return name.removeprefix(namespace) if name.startswith(f"{namespace}/") else None

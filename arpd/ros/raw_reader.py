@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
@@ -45,7 +45,6 @@ _TURN_S = 1.0  # longest wait for a sample
 _LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made where twice the bytes would be held
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
-_FLOOD_S = 3.0
 
 _ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 
@@ -63,8 +62,26 @@ class Sample(NamedTuple):
     received_ns: int = 0
 
 
+class Inlet(Protocol):
+    """What a `ReadingThread` serves: a `RawReader`, or the inlet of a server or a client.
+
+    Attributes
+    ----------
+    name : of its topic or service
+    handle : rclpy's, of its endpoint
+    notify : function of rcl that sets what the middleware calls when something has come
+    """
+
+    name: str
+    handle: Any
+    notify: Any
+
+    def read(self) -> bool:
+        """Take and deliver some; return whether that was all."""
+
+
 class ReadingThread:
-    """Takes the samples of any number of `RawReader`; their functions are called in this thread.
+    """Takes what has come for any number of `Inlet`; their functions are called in this thread.
 
     Parameters
     ----------
@@ -89,7 +106,7 @@ class ReadingThread:
         self._rcl = rcl()
         self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
-        self._readers: dict[int, RawReader] = {}  # by the event that the middleware writes
+        self._readers: dict[int, Inlet] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
         self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -118,19 +135,19 @@ class ReadingThread:
         self._events.close()
         os.close(self._stop)
 
-    def watch(self, reader: RawReader) -> int:
+    def watch(self, reader: Inlet) -> int:
         """Read from a reader from now on; return its event, for `unwatch`."""
         event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readers[event] = reader
         self._events.register(event, select.EPOLLIN)
         with reader.handle:
-            self._rcl.notify_reader(reader.handle.pointer, self._rcl.eventfd_write, event)
+            reader.notify(reader.handle.pointer, self._rcl.eventfd_write, event)
         return event
 
-    def unwatch(self, reader: RawReader, event: int) -> None:
+    def unwatch(self, reader: Inlet, event: int) -> None:
         """Read it no more; something may still be delivered meanwhile."""
         with reader.handle:
-            self._rcl.notify_reader(reader.handle.pointer, None, None)
+            reader.notify(reader.handle.pointer, None, None)
         del self._readers[event]
         if self._events.closed:
             os.close(event)
@@ -182,7 +199,6 @@ class ReadingThread:
                         os.eventfd_read(event)  # first: later samples set it again
                     if reader is not None and not reader.read():
                         unfinished.add(event)
-                        reader.flooded_until_s = self.finished_s + _FLOOD_S
                 except (InvalidHandle, OSError):
                     continue  # just destroyed
                 except Exception:
@@ -228,8 +244,7 @@ class RawReader:
         most_bytes: int = sys.maxsize,
         refuse: Callable[[], None] = lambda: None,
     ) -> None:
-        self.name, self._thread = topic, thread
-        self.flooded_until_s = -math.inf  # before, more wait than one turn takes, or just did: some may be lost
+        self.name, self.notify, self._thread = topic, rcl().notify_reader, thread
         self._deliver, self._refuse = deliver, refuse
         self._node, self._msg_type, self._qos = node, msg_type, qos
         self._most_held_bytes, self._most_bytes = most_held_bytes, most_bytes

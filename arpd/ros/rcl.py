@@ -78,7 +78,10 @@ class Rcl:
         self.take = rcl.rcl_take_serialized_message
         self.take.argtypes = [ctypes.c_void_p] * 4
         self.notify_reader = rcl.rcl_subscription_set_on_new_message_callback
-        self.notify_reader.argtypes = [ctypes.c_void_p] * 3
+        self.notify_server = rcl.rcl_service_set_on_new_request_callback
+        self.notify_client = rcl.rcl_client_set_on_new_response_callback
+        for notify in (self.notify_reader, self.notify_server, self.notify_client):
+            notify.argtypes = [ctypes.c_void_p] * 3
         self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._publish = rcl.rcl_publish_serialized_message
         self._publish.argtypes = [ctypes.c_void_p] * 3

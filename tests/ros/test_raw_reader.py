@@ -132,7 +132,7 @@ def gate():
 
 
 def test_a_flood_of_one_topic_delays_no_other(ros, gate, eventually):
-    """What waits on one topic is read in turns with the others, and the reader tells of its flood."""
+    """What waits on one topic is read in turns with the others."""
     node, order = ros.node("raw_reader_check"), []
     flood, calm = (
         RawReader(node, String, topic, QoSProfile(depth=1000), deliver=order.append, thread=gate)
@@ -148,7 +148,6 @@ def test_a_flood_of_one_topic_delays_no_other(ros, gate, eventually):
     gate.opened.set()
     eventually("all arrive", lambda: len(order) == 501)
     assert [b"calm" in sample.data for sample in order].index(True) <= 64
-    assert calm.flooded_until_s < time.monotonic() < flood.flooded_until_s
     flood.destroy()
     calm.destroy()
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import select
 import socket
-import threading
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -33,39 +31,35 @@ class AnnouncedParticipants:
 
     def __init__(self, domain_id: int) -> None:
         self._heard_s: dict[str, float] = {}
-        self._is_ended = False
         self._socket: socket.socket | None = None
         try:
             self._socket = _listening(domain_id)
         except OSError as error:
             log.warning("cannot listen for nodes that cross the link on their own: %s", error)
-            return
-        threading.Thread(target=self._run, args=(self._socket,), name="arpd-announced", daemon=True).start()
 
     def recent(self) -> Collection[str]:
         """Return the first 12 bytes of the GUIDs of those heard in the last minute, in hexadecimal digits."""
+        if self._socket is None:
+            return ()
         now_s = time.monotonic()
-        return {guid for guid, heard_s in self._heard_s.copy().items() if now_s - heard_s < _FORGET_S}
+        with suppress(OSError):  # nothing more has come
+            for _ in range(_MOST):
+                if (participant := participant_in(self._socket.recv(64))) is not None:  # its header is enough
+                    self._heard_s[participant.hex()] = now_s
+        recent = {guid: heard_s for guid, heard_s in self._heard_s.items() if now_s - heard_s < _FORGET_S}
+        self._heard_s = recent if len(recent) <= _MOST else {}
+        return self._heard_s.keys()
 
     def close(self) -> None:
-        """End the thread."""
-        self._is_ended = True
-
-    def _run(self, heard: socket.socket) -> None:
-        with heard:
-            while not self._is_ended:
-                if not select.select([heard], [], [], 1.0)[0]:
-                    continue
-                packet = heard.recv(64)  # its header is enough
-                if (participant := participant_in(packet)) is not None:
-                    if len(self._heard_s) > _MOST:
-                        self._heard_s.clear()
-                    self._heard_s[participant.hex()] = time.monotonic()
+        """Listen no more."""
+        if self._socket is not None:
+            self._socket.close()
 
 
 def _listening(domain_id: int) -> socket.socket:
     """Return a socket that hears the multicast discovery on every interface that can join it."""
     heard = discovery_socket(domain_id)
+    heard.settimeout(0.0)
     for index, _name in socket.if_nameindex():
         with suppress(OSError):  # down, or without an address
             join_discovery(heard, index)

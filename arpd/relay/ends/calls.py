@@ -1,60 +1,62 @@
-"""Services and actions of the other side, which nodes on this side can call, in the local domain of one end."""
+"""Services and actions of one side that nodes of the other can call, at one end."""
 
 from __future__ import annotations
 
 import logging
 import math
 import time
-from collections import Counter, deque
+from collections import Counter
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidServiceNameException, NameValidationException
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.relay.calls import Caller, CallFailure, FailureReason, Request, decode_record
-from arpd.relay.ends.served_calls import AT_ONCE, CALLS_QOS, ServedCalls
+from arpd.relay.calls import Callee, Caller, CallFailure, FailureReason, Request, decode_record
+from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, service_class
 from arpd.relay.offers import ServiceOffer
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
 from arpd.ros.rate_limits import OncePerMinute
+from arpd.ros.raw_reader import ReadingThread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from arpd.relay.calls import Outcome
-    from arpd.relay.ends.call_link import CallLink
+    from rclpy.node import Node
+
+    from arpd.relay.calls import CallId, Outcome
     from arpd.relay.ends.ghosts import GhostNodes
+    from arpd.relay.ends.link_reader import CallLink
+    from arpd.relay.selection import Side
+    from arpd.ros.graph import Endpoint
 
 log = logging.getLogger(__name__)
-_TICK_S = 0.02  # between bursts of requests to a server, and of answers to a client
+_STEP_S, _BURST_S = 0.1, 0.02  # between steps; and while more wait than a server or a client may get at once
 _LOOK_S = 0.5
 _OWNER = "services"
-_MOST_RECORDS = 1000  # that wait for a tick; a call whose record is dropped repeats it
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
-_STATUS_UNKNOWN, _STATUS_ABORTED = 0, 6  # action_msgs/msg/GoalStatus
+_REFUSED = (InvalidServiceNameException, NameValidationException, RuntimeError, ValueError)  # by the middleware
 
 
 class Calls:
     """Lets nodes on this side call services of the other side, and the other way round.
 
     Every service that the other end offers gets a ghost server here, under a node with the name of the real server's
-    node. A call runs at most once. One without an answer fails, with a response that says so where its type can.
-    Names on the link are those on the robot. All works in the thread of the node's executor, which a record wakes.
+    node. A call runs at most once. One without an answer fails, with a response that says so where its type can; so
+    does one whose server is gone, together with its offer. Servers of this process, ghosts above all, are not offered.
+    All works in one thread.
 
     Parameters
     ----------
     node : this end's node in the local domain
     nodes : ghosts of the other side's nodes
-    link : carries the records; None = nothing may be called
+    link : carries the records
     session : of this process, 32 bit
-    allows : returns whether a service with this name on the robot may be called across the link
+    side : names on this side
     timeout_s : time after which a call without an answer has failed; the result of an action may take any time (s)
-    local_name, robot_name : return the name on this side and the one on the robot, None where it has none there
     clock : monotonic clock (s)
 
     Attributes
@@ -63,88 +65,109 @@ class Calls:
     offers : services of this side that the other side may call, by their names on the link
     failures : calls from this side that failed, by reason
     refused : services of the other side that are not served here, and the reason
-    malformed : records of the other end that were none
+    thread : of all this
     """
 
     def __init__(
         self,
-        node: Any,
+        node: Node,
         nodes: GhostNodes,
-        link: CallLink | None,
+        link: CallLink,
         *,
         session: int,
-        allows: Callable[[str], bool],
+        side: Side,
         timeout_s: float,
-        local_name: Callable[[str], str],
-        robot_name: Callable[[str], str | None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._node, self._nodes, self._link = node, nodes, link
-        self._session = session
+        self._node, self._nodes, self._session, self._side = node, nodes, session, side
+        self._timeout_s, self._clock = timeout_s, clock
         self._view = GraphView.of(node)
-        self._allows = allows
-        self._timeout_s = timeout_s
-        self._local_name, self._robot_name = local_name, robot_name
-        self._clock = clock
-        self._ghosts: dict[str, GhostService] = {}  # by name on the link
-        self._records: deque[tuple[int, bytes]] = deque(maxlen=_MOST_RECORDS)
-        self._is_woken = False
-        self._look_s = clock()
+        self._ghosts: dict[str, GhostServer] = {}  # by name on the link
+        self._servers: dict[str, list[Endpoint]] = {}  # of this side, by name on the link
+        self._clients: dict[tuple[str, str], LocalClient] = {}  # by name on the link, and type
+        self._stepped_s = self._look_s = clock()
         self._logged = OncePerMinute()
         self.offered: tuple[Mapping[str, ServiceOffer], int | None] = MappingProxyType({}), None
         self.offers: Mapping[str, ServiceOffer] = MappingProxyType({})
         self.refused: Mapping[str, str] = MappingProxyType({})
         self.failures: Counter[str] = Counter()
-        self.malformed = 0
-        if link is not None:
-            self._caller = Caller(send=link.send)
-            self._served = ServedCalls(node, self._view, send=link.send, local_name=local_name, clock=clock)
-            node.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-            link.open(self._arrive)
+        self._caller = Caller(send=link.send)
+        self._callee = Callee(send=link.send, run=self._run, stop=self._stop)
+        self.thread = ReadingThread(step=self._step, clock=clock)
+        self._reader = link.reader(self.thread, self._take)
 
     def close(self) -> None:
-        """Fail the calls that are under way, and remove all servers and clients; the executor has stopped."""
-        if self._link is not None:
-            self._link.close()
-            self._follow({}, None)
-            self._served.destroy()
+        """Fail the calls that are under way, and remove all servers and clients."""
+        self.thread.stop()
+        self._reader.destroy()
+        self._follow({}, None)
+        while self._clients:
+            self._clients.popitem()[1].destroy()
 
-    def _tick(self) -> None:
+    def _step(self) -> float:
+        """Do what is due; return when to call again (s)."""
         now_s = self._clock()
-        if now_s >= self._look_s:
-            self._look_s = now_s + _LOOK_S
-            self._look()
-        self._take()
-        self._caller.step(now_s)
-        self._served.step(now_s)
-        for ghost in self._ghosts.values():
-            ghost.step()
+        if now_s >= self._stepped_s + self._every_s:
+            self._stepped_s = now_s
+            if now_s >= self._look_s:
+                self._look_s = now_s + _LOOK_S
+                self._look()
+            self._caller.step(now_s)
+            for each in (*self._ghosts.values(), *self._clients.values()):
+                each.step()
+        return self._stepped_s + self._every_s
+
+    @property
+    def _every_s(self) -> float:
+        is_waiting = any(each.is_waiting for each in (*self._ghosts.values(), *self._clients.values()))
+        return _BURST_S if is_waiting else _STEP_S
 
     def _look(self) -> None:
+        """Follow the graph and the other end."""
         names = {}
         self._view.look()
         for local in self._view.services:
-            name = self._robot_name(local) if is_full_name(local) else None
-            if name is not None and self._allows(name):
+            name = self._side.robot_name(local) if is_full_name(local) else None
+            if name is not None and self._side.may_call(name):
                 names[name] = local
-        self.offers = {
-            name: ServiceOffer(type_name=offer.type_name, node=self._robot_name(offer.node) or offer.node)
-            for name, offer in self._served.look(names).items()
+        ours = self._view.ours
+        self._servers = {
+            name: [server for server in self._view.servers(local) if server.participant not in ours]
+            for name, local in names.items()
         }
+        self.offers = {name: offer for name in sorted(names) if (offer := self._offer(name)) is not None}
+        self._drop_clients()
         offered, session = self.offered
         self._follow(offered, session)
-        self._nodes.release(_OWNER, {self._local_name(offer.node) for offer in offered.values()})
+        self._nodes.keep(_OWNER, {self._side.local_name(offer.node) for offer in offered.values()})
+
+    def _offer(self, name: str) -> ServiceOffer | None:
+        """Return the first server whose node is known."""
+        named = [server for server in self._servers[name] if server.node]
+        if (first := min(named, key=lambda server: server.node, default=None)) is None:
+            return None
+        node = self._side.robot_name(first.node) or first.node
+        return ServiceOffer(type_name=_ros_type(first.type_name), node=node)
+
+    def _take(self, sender: int, data: bytes) -> None:
+        """Take a record of the other end."""
+        record = decode_record(data)
+        if record.to == self._session:
+            self._caller.receive(sender, record)
+            self._callee.receive(sender, record)
+
+    # -- calls of this side
 
     def _follow(self, offered: Mapping[str, ServiceOffer], session: int | None) -> None:
         """Serve here what the other end offers, and nothing else."""
         self._caller.follow(session)
-        self._served.callee.follow(session)
+        self._callee.follow(session)
         changed = {name for name, ghost in self._ghosts.items() if offered.get(name) != ghost.offer}
         for name in changed:
             self._withdraw(name, "the other end offers it no more")
         refused = {}
         for name, offer in offered.items():
-            reason = self._reason_against(name, offer)
+            reason = self._reason_against(name)
             # A participant has one type per name, so the next look is soon enough for one that changed.
             if not reason and name not in self._ghosts and name not in changed:
                 reason = self._serve(name, offer)
@@ -153,21 +176,24 @@ class Calls:
                 refused[name] = reason
         self.refused = refused
 
-    def _reason_against(self, name: str, offer: ServiceOffer) -> str:
-        if not is_full_name(self._local_name(name)) or not is_full_name(self._local_name(offer.node)):
-            return f"no names of ROS: {name!r} on {offer.node!r}"
-        if not self._allows(name):
+    def _reason_against(self, name: str) -> str:
+        if not self._side.may_call(name):
             return "relay.services and relay.actions of this end do not allow it"
-        return "a node on this side serves it, too; that one stays" if self._served.is_served(name) else ""
+        return "a node on this side serves it, too; that one stays" if self._servers.get(name) else ""
 
     def _serve(self, name: str, offer: ServiceOffer) -> str:
         """Make a ghost of this service; return why there is none."""
         try:
-            node = self._nodes.served(self._local_name(offer.node), owner=_OWNER)
-            self._ghosts[name] = GhostService(node, offer, self._local_name(name), partial(self._call, name))
+            self._ghosts[name] = GhostServer(
+                self._nodes.of(self._side.local_name(offer.node), owner=_OWNER),
+                offer,
+                self._side.local_name(name),
+                self.thread,
+                partial(self._call, name),
+            )
         except UnknownTypeError as error:
             return str(error)
-        except (InvalidServiceNameException, NameValidationException, RuntimeError, ValueError) as error:
+        except _REFUSED as error:
             return f"the middleware says: {error}"
         return ""
 
@@ -178,8 +204,7 @@ class Calls:
 
     def _call(self, name: str, message: Any, header: Any) -> None:
         """Pass a request of a node on this side to the other end."""
-        if (ghost := self._ghosts.get(name)) is None:
-            return
+        ghost = self._ghosts[name]
         self._caller.call(
             Request(name, ghost.offer.type_name, bytes(serialize_message(message))),
             timeout_s=math.inf if name.endswith(_GET_RESULT) else self._timeout_s,
@@ -187,10 +212,10 @@ class Calls:
             on_end=partial(self._end, name, ghost, header),
         )
 
-    def _end(self, name: str, ghost: GhostService, header: Any, outcome: Outcome) -> None:
+    def _end(self, name: str, ghost: GhostServer, header: Any, outcome: Outcome) -> None:
         if isinstance(outcome, bytes):
             try:
-                ghost.answer(deserialize_message(outcome, ghost.kind.Response), header)
+                ghost.answer(header, deserialize_message(outcome, ghost.kind.Response))
             except (RuntimeError, ValueError) as error:
                 outcome = CallFailure(FailureReason.TYPE, f"its answer cannot be read: {error}")
         if isinstance(outcome, CallFailure):
@@ -198,105 +223,53 @@ class Calls:
             if self._logged.take((name, outcome.reason), self._clock()):
                 log.warning("a call of %s failed: %s", name, outcome.message)
             if (response := failed_response(ghost.kind, ghost.offer.type_name, outcome)) is not None:
-                ghost.answer(response, header)
+                ghost.answer(header, response)
 
-    def _arrive(self, sender: int, record: bytes) -> None:
-        """Take a record of the other end, in any thread."""
-        self._records.append((sender, record))
-        # EventsExecutor has no guard conditions, but both executors wake for a task.
-        if not self._is_woken and (executor := self._node.executor) is not None:
-            self._is_woken = True
-            executor.create_task(self._take)
+    # -- calls of the other side
 
-    def _take(self) -> None:
-        self._is_woken = False
-        while self._records:
-            sender, data = self._records.popleft()
+    def _run(self, call: CallId, request: Request) -> None:
+        name, offer = request.service, self.offers.get(request.service)
+        if offer is None:
+            self._fail(call, FailureReason.NO_SERVER, f"{name} is not offered")
+        elif offer.type_name != request.type_name:
+            self._fail(call, FailureReason.TYPE, f"{name} is a {offer.type_name} here, not a {request.type_name}")
+        else:
             try:
-                record = decode_record(data)
-                if record.to == self._session:
-                    self._caller.receive(sender, record)
-                    self._served.callee.receive(sender, record)
-            except ValueError as error:
-                self.malformed += 1
-                if self._logged.take("malformed", self._clock()):
-                    log.warning("a record of the other end was ignored: %s (logged once a minute)", error)
+                client = self._client(name, offer.type_name)
+                client.call(call, deserialize_message(request.body, client.kind.Request))
+            except UnknownTypeError as error:
+                self._fail(call, FailureReason.TYPE, str(error))
+            except _REFUSED as error:
+                self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
+
+    def _client(self, name: str, type_name: str) -> LocalClient:
+        if (name, type_name) not in self._clients:
+            kind, local = service_class(type_name), self._side.local_name(name)
+            made = LocalClient(self._node, kind, local, self.thread, self._finish, clock=self._clock)
+            self._clients[name, type_name] = made
+        return self._clients[name, type_name]
+
+    def _finish(self, call: CallId, response: Any) -> None:
+        try:
+            self._callee.finish(call, bytes(serialize_message(response)))
+        except RuntimeError as error:
+            self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
+
+    def _fail(self, call: CallId, reason: FailureReason, message: str) -> None:
+        self._callee.finish(call, CallFailure(reason, f"the other end says: {message}"))
+
+    def _stop(self, call: CallId) -> None:
+        for client in self._clients.values():
+            client.stop(call)
+
+    def _drop_clients(self) -> None:
+        """Remove clients of services that are gone or have another type: a participant has one type per name."""
+        for (name, type_name), client in [*self._clients.items()]:
+            offer = self.offers.get(name)
+            if (offer is None or offer.type_name != type_name) and client.is_idle:
+                self._clients.pop((name, type_name)).destroy()
 
 
-class GhostService:
-    """A server of a service of the other side; it answers each request later, without blocking its executor.
-
-    rclpy has no such server. Its executors send what the callback returns at once. A coroutine would keep an executor
-    busy until the answer comes, and Jazzy's EventsExecutor takes none. But every executor sends through
-    ``send_response`` of the service, with the request's header. So this callback returns the request, and
-    ``send_response`` of this one service hands both on.
-
-    Parameters
-    ----------
-    node : node that the server belongs to
-    offer : the service
-    name : fully qualified name
-    on_request : called with each request and its header
-    """
-
-    def __init__(self, node: Any, offer: ServiceOffer, name: str, on_request: Callable[[Any, Any], None]) -> None:
-        self.offer, self.kind = offer, service_class(offer.type_name)
-        self._node = node
-        self._answers: deque[tuple[Any, Any]] = deque()
-        self._sent = 0  # since the last step
-        self._service: Any = node.create_service(
-            self.kind, name, lambda request, _response: request, qos_profile=CALLS_QOS
-        )
-        self._send: Callable[[Any, Any], None] = self._service.send_response
-        self._service.send_response = on_request
-
-    def answer(self, response: Any, header: Any) -> None:
-        """Send the response of one request, unless the server is gone; where many just left, after the next `step`."""
-        self._answers.append((response, header))
-        self._release(AT_ONCE)
-
-    def step(self) -> None:
-        """Send some of the responses that wait."""
-        self._sent = 0
-        self._release(AT_ONCE)
-
-    def destroy(self) -> None:
-        """Send all that waits, and remove the server, so that clients see at once that the service is not there."""
-        self._release(math.inf)
-        service, self._service = self._service, None
-        self._node.destroy_service(service)
-
-    def _release(self, most: float) -> None:
-        while self._service is not None and self._answers and self._sent < most:
-            self._sent += 1
-            self._send(*self._answers.popleft())
-
-
-def failed_response(kind: Any, type_name: str, failure: CallFailure) -> Any:
-    """Return the response that says why a call failed; None where its type cannot say it.
-
-    A service of ROS has no failures. Without a response it looks like a server that died.
-
-    Parameters
-    ----------
-    kind, type_name : service class, and its ROS name
-    """
-    response = kind.Response()
-    if type_name == "action_msgs/srv/CancelGoal":
-        response.return_code = response.ERROR_REJECTED
-        return response
-    if "/action/" in type_name and type_name.endswith("_SendGoal"):
-        response.accepted = False
-        return response
-    if "/action/" in type_name and type_name.endswith("_GetResult"):
-        # Without its server a goal is over; beyond a link that is down it may go on.
-        response.status = _STATUS_ABORTED if failure.reason is FailureReason.NO_SERVER else _STATUS_UNKNOWN
-        return response
-    fields = response.get_fields_and_field_types()
-    if fields.get("success") != "boolean":
-        return None
-    response.success = False
-    for field in ("message", "status_message"):
-        if fields.get(field) == "string":
-            setattr(response, field, f"arpd relay: {failure.message}")
-    return response
+def _ros_type(dds_type: str) -> str:
+    """Return ``example_interfaces/srv/AddTwoInts`` for ``example_interfaces::srv::dds_::AddTwoInts_Request_``."""
+    return dds_type.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")

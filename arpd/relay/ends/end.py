@@ -7,6 +7,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -15,17 +16,17 @@ from std_msgs.msg import UInt8MultiArray
 from arpd import __version__
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.relay.ends.announced import AnnouncedParticipants
-from arpd.relay.ends.call_link import CallLink
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
+from arpd.relay.ends.link_reader import CallLink, LinkReader
 from arpd.relay.ends.link_thread import LinkThread
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.ends.summary import summary
 from arpd.relay.ends.survey import Survey
 from arpd.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.relay.partner import EVERY_S, Partner
-from arpd.relay.selection import Selection, far_name, robot_name
+from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line
 from arpd.ros.graph_view import GraphView
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
@@ -78,7 +79,7 @@ class End:
         self._host = host
         self._on_change = on_change
         self._clock = clock
-        self._selection = Selection.of(settings)
+        self._side = Side.of(settings, is_far=is_far)
         self._view = GraphView.of(node)
         self._own_gids = self._view.own.participant.hex()
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
@@ -104,7 +105,7 @@ class End:
         )
         sign, together = (rcl().outlet(publisher.handle).publish for publisher in (signs, small))
         self.link = LinkThread(session, sign=sign, together=together, clock=clock)
-        # Two threads, so that what comes from the link does not wait for the nodes here.
+        # Two threads, so that what comes from the link does not wait for the nodes here; calls have a third.
         self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
         self._link_node = link_node
@@ -114,7 +115,7 @@ class End:
             nodes=self._nodes,
             thread=self.incoming_thread,
             link=self.link,
-            local_name=self.local_name,
+            side=self._side,
             depths=settings.depths,
             clock=clock,
         )
@@ -124,33 +125,41 @@ class End:
             survey=self.survey,
             thread=self.outgoing_thread,
             link=self.link,
-            local_name=self.local_name,
+            side=self._side,
             settings=settings,
             clock=clock,
         )
-        topics = {"own": f"/arpd/relay/{role}/calls", "other": f"/arpd/relay/{other}/calls"}
-        may_call = settings.services or settings.actions
+        calls = CallLink(link_node, self.link, own=f"/arpd/relay/{role}/calls", other=f"/arpd/relay/{other}/calls")
         self._calls = Calls(
             node,
             self._nodes,
-            CallLink(link_node, self.link, self.incoming_thread, **topics) if may_call else None,
+            calls,
             session=session,
-            allows=self._selection.may_call,
+            side=self._side,
             timeout_s=settings.call_timeout_s,
-            local_name=self.local_name,
-            robot_name=self._robot_name,
             clock=clock,
         )
-        self._readers = [
-            self._listen(link_node, f"/arpd/relay/{other}", _LATCHED, lambda sample: self._arrived.append(sample.data)),
-            self._listen(link_node, f"/arpd/relay/{other}/small", _SMALL, self.incoming.deliver_together),
-            self._listen(link_node, f"/arpd/relay/{other}/alive", _SIGNS, self._hear_sign),
+        reader = partial(RawReader, link_node, UInt8MultiArray, thread=self.incoming_thread)
+        self._readers: list[RawReader | LinkReader] = [
+            reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
+            reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
+            LinkReader(
+                link_node,
+                f"/arpd/relay/{other}/small",
+                link=self.link,
+                thread=self.incoming_thread,
+                deliver=self.incoming.deliver_together,
+                is_together=True,
+            ),
         ]
+        publishing = NodePublishers.of(link_node).thread
+        #: None may hang.
+        self.threads = (publishing, self.link, self.outgoing_thread, self.incoming_thread, self._calls.thread)
         self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         self.link.start()
 
     def close(self) -> None:
-        """Destroy everything in both domains; the executor of calls has stopped."""
+        """Destroy everything in both domains."""
         self._announced.close()
         self.link.stop()
         for reader in self._readers:
@@ -162,24 +171,9 @@ class End:
         self.incoming_thread.stop()
         self._nodes.close()
 
-    # -- names: the configuration and the link have those on the robot
-
-    def local_name(self, name: str) -> str:
-        """Return the name on this end's side."""
-        return far_name(name, self._settings.namespace) if self._is_far and name else name
-
-    def _robot_name(self, local: str) -> str | None:
-        return robot_name(local, self._settings.namespace) if self._is_far else local
-
-    def _may_leave(self, name: str) -> bool:
-        return self._selection.to_robot(name) if self._is_far else self._selection.to_base(name)
-
-    def _may_enter(self, name: str) -> bool:
-        return self._selection.to_base(name) if self._is_far else self._selection.to_robot(name)
-
     def _is_of_interest(self, local: str) -> bool:
-        name = self._robot_name(local)
-        return name is not None and (name in self._offered_to_us or self._may_leave(name))
+        name = self._side.robot_name(local)
+        return name is not None and (name in self._offered_to_us or self._side.may_leave(name))
 
     # -- one tick
 
@@ -265,9 +259,9 @@ class End:
 
     def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
-        if not self._may_enter(name):
+        if not self._side.may_enter(name):
             return "the configuration of this end does not let it in; give both ends one file"
-        here = self.survey.gids(self.local_name(name))
+        here = self.survey.gids(self._side.local_name(name))
         for writer in offer.writers:
             if writer.gid in here or writer.gid[: len(self._own_gids)] in announced:
                 return (
@@ -280,7 +274,7 @@ class End:
         """Name the topics that nodes here use with another type than the other side."""
         differ = {}
         for name, offer in accepted.items():
-            if others := sorted(set(self._view.types.get(self.local_name(name), ())) - {offer.type_name}):
+            if others := sorted(set(self._view.types.get(self._side.local_name(name), ())) - {offer.type_name}):
                 differ[name] = f"it is {offer.type_name} there and {', '.join(others)} here"
         for name in differ.keys() - self._differ.keys():
             log.warning("%s: %s; nodes of two types do not hear each other", name, differ[name])
@@ -290,7 +284,7 @@ class End:
         return {
             name: f"it has more than one type here: {', '.join(surveyed.types)}"
             for local, surveyed in self.survey.topics.items()
-            if len(surveyed.types) > 1 and (name := self._robot_name(local)) is not None
+            if len(surveyed.types) > 1 and (name := self._side.robot_name(local)) is not None
         }
 
     def _survey_offers(self) -> dict[str, TopicOffer]:
@@ -299,8 +293,8 @@ class End:
             self._plans, self._plans_s = plans, now_s + _PLANS_S
         offers = {}
         for local, surveyed in self.survey.topics.items():
-            name = self._robot_name(local)
-            if name is not None and surveyed.writers and self._may_leave(name):
+            name = self._side.robot_name(local)
+            if name is not None and surveyed.writers and self._side.may_leave(name):
                 link_name, member = self.outgoing.names.of(name)
                 depth, deadline_ns = self._plans.get(link_name, (0, 0))
                 offers[name] = TopicOffer(
@@ -388,6 +382,3 @@ class End:
     def _hear_sign(self, sample: Sample) -> None:
         with suppress(ValueError):  # of another version, which its state says, too
             self._arrived.append(self.link.hear(octets(sample.data)))
-
-    def _listen(self, link_node: Node, topic: str, qos: QoSProfile, deliver: Callable[[Sample], None]) -> RawReader:
-        return RawReader(link_node, UInt8MultiArray, topic, qos, deliver=deliver, thread=self.incoming_thread)

@@ -69,13 +69,6 @@ class GhostNodes:
             self._kept.setdefault(owner, set()).add(name)
             return self._of(name)
 
-    def served(self, name: str, *, owner: str) -> Node:
-        """Return the ghost, served by the executor of the end's own node; only for the thread of that executor."""
-        ghost = self.of(name, owner=owner)
-        if ghost.executor is None and self._node.executor is not None:
-            self._node.executor.add_node(ghost)
-        return ghost
-
     def keep(self, owner: str, names: set[str]) -> None:
         """Destroy the ghosts that no owner keeps; the caller has destroyed their endpoints.
 
@@ -88,16 +81,6 @@ class GhostNodes:
             self._kept[owner] = set(names)
             for name in self._ghosts.keys() - set().union(*self._kept.values()):
                 self._ghosts.pop(name).destroy_node()
-
-    def release(self, owner: str, names: set[str]) -> None:
-        """Do as `keep`, after the executor has left the ghosts that this owner no longer keeps; as for `served`."""
-        for name in self._kept.get(owner, set()) - names:
-            ghost = self._ghosts.get(name)
-            if ghost is not None:
-                # An executor holds its nodes, destroyed ones too. `remove_node` alone would leave the node with an
-                # executor that does not serve it: one that another owner keeps would never be served again.
-                ghost.executor = None
-        self.keep(owner, names)
 
     def close(self) -> None:
         """Destroy all ghosts."""

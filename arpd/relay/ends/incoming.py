@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import deque
@@ -10,17 +9,13 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rclpy.qos import QoSProfile
-from std_msgs.msg import UInt8MultiArray
-
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.depths import BULK_BYTES, held_depth
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
+from arpd.relay.ends.link_reader import LinkReader
 from arpd.relay.ends.types import UnknownTypeError, definition_hash, expected_bytes, message_class
-from arpd.relay.envelope import Assembly, Chunk, Record, key_of, split, unpack
-from arpd.ros.rate_limits import OncePerMinute
-from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.relay.envelope import Chunk, Record, key_of, split, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -29,10 +24,10 @@ if TYPE_CHECKING:
 
     from arpd.relay.ends.link_thread import LinkThread
     from arpd.relay.offers import TopicOffer
+    from arpd.relay.selection import Side
+    from arpd.ros.raw_reader import ReadingThread
 
-log = logging.getLogger(__name__)
 _OWNER = "topics"  # of ghost nodes
-_LINK_DEPTH = 1000  # the reading thread takes samples at once, so this only bridges its scheduling
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
 # Samples of a writer that is gone may still be on their way, and an end that restarts knows no writer at first.
 _GRACE_S = 5.0
@@ -73,7 +68,7 @@ class Incoming:
     nodes : ghosts of the other side's nodes
     thread : takes the samples
     link : accounts for the chunks
-    local_name : returns the local name of a topic or a node of the other side
+    side : names on this side
     depths : least KEEP_LAST depth of ghosts, by topic
     """
 
@@ -84,7 +79,7 @@ class Incoming:
         nodes: GhostNodes,
         thread: ReadingThread,
         link: LinkThread,
-        local_name: Callable[[str], str],
+        side: Side,
         depths: Mapping[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -92,7 +87,7 @@ class Incoming:
         self._nodes = nodes
         self._thread = thread
         self._link = link
-        self._local_name = local_name
+        self._side = side
         self._depths = depths
         self._clock = clock
         self._lock = threading.Lock()  # guards the topics: samples come in the reading thread
@@ -100,11 +95,9 @@ class Incoming:
         self._topics: dict[str, _Topic] = {}
         self._members: dict[tuple[str, int], _Topic] = {}
         self._by_key: dict[bytes, str] = {}  # names on the link, by what stands for them
-        self._readers: dict[str, RawReader] = {}  # by the name on the link
-        self._assemblies: dict[str, Assembly] = {}
+        self._readers: dict[str, LinkReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
-        self._logged = OncePerMinute()
         self.received = 0
         self.doubled = 0
         self.unknown = 0
@@ -159,23 +152,16 @@ class Incoming:
             ghosts = [ghost for topic in self._topics.values() for ghost in topic.ghosts.values()]
             swap_some(ghosts, now_s)
             writers = [ghost.offer for ghost in ghosts]
-        self._nodes.keep(_OWNER, {self._local_name(writer.node) for writer in writers})
+        self._nodes.keep(_OWNER, {self._side.local_name(writer.node) for writer in writers})
         for name in links - self._readers.keys():
             self._readers[name] = self._reader(name)
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
-            self._assemblies.pop(name, None)
         self.wants = frozenset(wants)
 
-    def deliver_together(self, sample: Sample) -> None:
-        """Write small samples of several topics that left together."""
-        try:
-            chunk, age_s = self._link.arrived(sample.data, is_together=True)
-            records = [(key, unpack(message)) for key, message in split(chunk.part)]
-        except ValueError as fault:
-            self._ignore("small samples", fault)
-            return
-        for key, found in records:
+    def deliver_together(self, message: bytes, chunk: Chunk, age_s: float) -> None:
+        """Write small samples of several topics that left together; ValueError = they are none."""
+        for key, found in [(key, unpack(part)) for key, part in split(message)]:
             self._take(self._by_key.get(key, ""), found, chunk, age_s)
 
     def close(self) -> None:
@@ -187,32 +173,11 @@ class Incoming:
                 for ghost in topic.ghosts.values():
                     ghost.destroy()
 
-    def _reader(self, link_name: str) -> RawReader:
-        def deliver(sample: Sample) -> None:
-            self._deliver(link_name, sample)
+    def _reader(self, link_name: str) -> LinkReader:
+        def deliver(message: bytes, chunk: Chunk, age_s: float) -> None:
+            self._take(link_name, unpack(message), chunk, age_s)
 
-        return RawReader(
-            self._link_node,
-            UInt8MultiArray,
-            link_name,
-            QoSProfile(depth=_LINK_DEPTH),
-            deliver=deliver,
-            thread=self._thread,
-        )
-
-    def _deliver(self, link_name: str, sample: Sample) -> None:
-        try:
-            chunk, age_s = self._link.arrived(sample.data)
-            message = self._assemblies.setdefault(link_name, Assembly()).add(chunk)
-            records = [] if message is None else unpack(message)
-        except ValueError as fault:
-            self._ignore(link_name, fault)
-        else:
-            self._take(link_name, records, chunk, age_s)
-
-    def _ignore(self, what: str, fault: ValueError) -> None:
-        if self._logged.take(what, self._clock()):
-            log.warning("ignored a sample of %s: %s (logged once a minute)", what, fault)
+        return LinkReader(self._link_node, link_name, link=self._link, thread=self._thread, deliver=deliver)
 
     def _take(self, link_name: str, records: list[Record], chunk: Chunk, age_s: float) -> None:
         is_old = age_s > _OLD_S and not chunk.is_kept
@@ -265,9 +230,9 @@ class Incoming:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
                 ghost = topic.ghosts[writer.gid] = GhostWriter(
-                    self._nodes.of(self._local_name(writer.node), owner=_OWNER),
+                    self._nodes.of(self._side.local_name(writer.node), owner=_OWNER),
                     kind,
-                    self._local_name(name),
+                    self._side.local_name(name),
                     writer,
                     depth=history if writer.is_latched else held_depth(asked, sample_bytes=sample_bytes),
                     planned=planned,

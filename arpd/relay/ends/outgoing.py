@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from arpd.relay.ends.link_thread import LinkThread
     from arpd.relay.ends.survey import Survey
     from arpd.relay.offers import TopicOffer, WriterOffer
+    from arpd.relay.selection import Side
     from arpd.ros.raw_reader import ReadingThread, Sample
 
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
@@ -80,7 +81,7 @@ class Outgoing:
     survey : topics of the local domain and their writers
     thread : takes the samples
     link : writes to the link
-    local_name : returns the local name of a topic
+    side : names on this side
     settings : groups, overflow and depths
     """
 
@@ -92,7 +93,7 @@ class Outgoing:
         survey: Survey,
         thread: ReadingThread,
         link: LinkThread,
-        local_name: Callable[[str], str],
+        side: Side,
         settings: RelaySettings,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -101,7 +102,7 @@ class Outgoing:
         self._survey = survey
         self._thread = thread
         self._link = link
-        self._local_name = local_name
+        self._side = side
         self._settings = settings
         self._clock = clock
         self.names = Names(settings)
@@ -185,7 +186,7 @@ class Outgoing:
             raise ValueError(f"{type_name} has no header stamp, by which its group is thinned")
         return TopicReaders(
             self._node,
-            self._local_name(topic),
+            self._side.local_name(topic),
             message,
             survey=self._survey,
             thread=self._thread,

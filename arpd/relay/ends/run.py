@@ -7,12 +7,11 @@ import os
 import secrets
 import time
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
-from rclpy.experimental import EventsExecutor
 from std_msgs.msg import Empty
 
-from arpd.endpoint.node_publishers import NodePublishers
 from arpd.host.notify import Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.relay.ends.end import End
@@ -23,7 +22,6 @@ from arpd.ros.runtime import (
     prepare_environment,
     ros_node,
     serve_until,
-    spinning,
 )
 
 if TYPE_CHECKING:
@@ -64,8 +62,6 @@ def run_end(
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         check_middleware(current_rmw())
         check_deaf_to_itself(node)
-        executor = EventsExecutor(context=node.context)
-        executor.add_node(node)
         end = End(
             node,
             link_node,
@@ -75,12 +71,9 @@ def run_end(
             session=secrets.randbits(32),
             on_change=notifier.status,
         )
-        publishing = NodePublishers.of(link_node).thread
-        parts = [lambda: publishing.finished_s, lambda: end.link.finished_s]
-        parts += [lambda: end.incoming_thread.finished_s, lambda: end.outgoing_thread.finished_s]
-        heartbeat = Watchdog(notifier, parts=parts)
+        heartbeat = Watchdog(notifier, parts=[partial(getattr, each, "finished_s") for each in end.threads])
         notifier.ready()
-        with closing(end), spinning(executor):  # calls run in that executor, so it ends before what they use
+        with closing(end):
             try:
                 serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=end.tick)
             finally:

@@ -7,34 +7,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.settings import RelaySettings
-from arpd.relay.selection import Selection, far_name, robot_name
+from arpd.relay.selection import Side
 
 OWN = ("/rosout", "/parameter_events", "/arpd/price", "/arpd/peer/report", "/arpd/set_parameters")
 PARTS = {"feedback": "topic", "status": "topic", "send_goal": "call", "cancel_goal": "call", "get_result": "call"}
 
 
+def side(*, is_far=False, **settings):
+    return Side.of(RelaySettings(**settings), is_far=is_far)
+
+
 def test_by_default_every_topic_crosses_and_no_service():
     """The defaults carry what is read and call nothing."""
-    selection = Selection.of(RelaySettings())
+    selection = side()
     for topic in ("/scan", "/camera/left/image", "/tf_static"):
-        assert selection.to_base(topic)
-        assert selection.to_robot(topic)
+        assert selection.may_leave(topic)
+        assert selection.may_enter(topic)
         assert not selection.may_call(topic)
 
 
 def test_each_direction_has_its_patterns():
     """What may cross in one direction need not cross in the other."""
-    selection = Selection.of(RelaySettings(to_base=("/camera/**", "/scan"), to_robot=("/cmd_vel",)))
-    assert selection.to_base("/camera/left/image")
-    assert selection.to_base("/scan")
-    assert not selection.to_base("/cmd_vel")
-    assert selection.to_robot("/cmd_vel")
-    assert not selection.to_robot("/scan")
+    selection = side(to_base=("/camera/**", "/scan"), to_robot=("/cmd_vel",))
+    assert selection.may_leave("/camera/left/image")
+    assert selection.may_leave("/scan")
+    assert not selection.may_leave("/cmd_vel")
+    assert selection.may_enter("/cmd_vel")
+    assert not selection.may_enter("/scan")
 
 
 def test_services_are_named():
     """A service may be called if a pattern matches it."""
-    selection = Selection.of(RelaySettings(services=("/map_server/*",)))
+    selection = side(services=("/map_server/*",))
     assert selection.may_call("/map_server/load_map")
     assert not selection.may_call("/map_server")
     assert not selection.may_call("/planner/make_plan")
@@ -43,19 +47,19 @@ def test_services_are_named():
 @pytest.mark.parametrize(("part", "kind"), PARTS.items())
 def test_an_action_crosses_whole(part, kind):
     """Three services and two topics of an allowed action cross in both directions, and nothing else of it."""
-    selection = Selection.of(RelaySettings(to_base=(), to_robot=(), actions=("/nav/*",)))
+    selection = side(to_base=(), to_robot=(), actions=("/nav/*",))
     name = f"/nav/go/_action/{part}"
-    answers = (selection.to_base(name), selection.to_robot(name), selection.may_call(name))
+    answers = (selection.may_leave(name), selection.may_enter(name), selection.may_call(name))
     assert answers == ((True, True, False) if kind == "topic" else (False, False, True))
     for other in (f"/arm/go/_action/{part}", f"/nav/go/{part}", f"/nav/go/_action/{part}2", f"/nav/_x/_action/{part}"):
-        assert not any((selection.to_base(other), selection.to_robot(other), selection.may_call(other)))
+        assert not any((selection.may_leave(other), selection.may_enter(other), selection.may_call(other)))
 
 
 def test_deny_stops_an_action_by_its_name():
     """Denying an action denies its parts."""
-    selection = Selection.of(RelaySettings(actions=("/nav/*",), deny=("/nav/go",)))
+    selection = side(actions=("/nav/*",), deny=("/nav/go",))
     assert not selection.may_call("/nav/go/_action/send_goal")
-    assert not selection.to_robot("/nav/go/_action/status")
+    assert not selection.may_enter("/nav/go/_action/status")
     assert selection.may_call("/nav/stop/_action/send_goal")
 
 
@@ -71,13 +75,13 @@ SETTINGS = st.builds(
 
 
 def answers(selection, name):
-    return selection.to_base(name), selection.to_robot(name), selection.may_call(name)
+    return selection.may_leave(name), selection.may_enter(name), selection.may_call(name)
 
 
 @given(SETTINGS, st.sampled_from(OWN))
 def test_nothing_of_ros_or_arpd_crosses(settings, name):
     """No pattern carries a topic of ROS or arpd itself."""
-    assert not any(answers(Selection.of(settings), name))
+    assert not any(answers(Side.of(settings, is_far=False), name))
 
 
 @given(SETTINGS, NAME)
@@ -90,7 +94,7 @@ def test_what_is_denied_never_crosses(settings, name):
         actions=settings.actions,
         deny=(*settings.deny, name),
     )
-    assert not any(answers(Selection.of(denied), name))
+    assert not any(answers(Side.of(denied, is_far=False), name))
 
 
 @given(SETTINGS, NAME)
@@ -98,20 +102,29 @@ def test_a_hidden_name_crosses_as_a_part_of_an_action_only(settings, name):
     """Hidden names pass no pattern of topics and services."""
     without = RelaySettings(to_base=settings.to_base, to_robot=settings.to_robot, services=settings.services)
     if "/_" in name:
-        assert not any(answers(Selection.of(without), name))
-    if "/_" in name and any(answers(Selection.of(settings), name)):
+        assert not any(answers(Side.of(without, is_far=False), name))
+    if "/_" in name and any(answers(Side.of(settings, is_far=False), name)):
         assert name.rpartition("/")[0].endswith("/_action")
+
+
+def test_what_leaves_one_side_enters_the_other():
+    """Both ends read one configuration."""
+    settings = {"to_base": ("/scan",), "to_robot": ("/cmd_vel",)}
+    for name in ("/scan", "/cmd_vel"):
+        assert side(**settings).may_leave(name) == side(is_far=True, **settings).may_enter(name) == (name == "/scan")
 
 
 @given(st.sampled_from(["", "/r1", "/fleet/r1"]), NAME)
 def test_a_name_comes_back_from_the_base(namespace, name):
     """The two names of a topic belong together."""
-    assert robot_name(far_name(name, namespace), namespace) == name
+    base = side(is_far=True, namespace=namespace)
+    assert base.robot_name(base.local_name(name)) == name
+    assert base.local_name("") == ""
 
 
 def test_names_outside_the_namespace_have_no_name_on_the_robot():
     """The other robots' topics on the base computer are not this robot's."""
-    assert far_name("/scan", "/r1") == "/r1/scan"
-    assert far_name("/scan", "") == "/scan"
-    assert robot_name("/scan", "") == "/scan"
-    assert [robot_name(name, "/r1") for name in ("/r1", "/r10/scan", "/r2/scan", "/scan")] == [None] * 4
+    robot, base = side(namespace="/r1"), side(is_far=True, namespace="/r1")
+    assert base.local_name("/scan") == "/r1/scan"
+    assert robot.local_name("/scan") == robot.robot_name("/scan") == "/scan"
+    assert [base.robot_name(name) for name in ("/r1", "/r10/scan", "/r2/scan", "/scan")] == [None] * 4

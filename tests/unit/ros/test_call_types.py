@@ -1,6 +1,7 @@
 """Calls across the link by type: what says a failure, what cannot be called, and when a request may leave."""
 
 import sys
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -9,12 +10,10 @@ pytest.importorskip("test_msgs", reason="test_msgs is not installed")
 
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
-from rclpy.serialization import serialize_message
 from test_msgs.srv import BasicTypes, Empty
 
-from arpd.relay.calls import CallFailure, FailureReason, Kind, Record
-from arpd.relay.ends.calls import failed_response
-from arpd.relay.ends.served_calls import ServedCalls
+from arpd.relay.calls import CallFailure, CallId, FailureReason
+from arpd.relay.ends.services import LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
 
 
@@ -44,11 +43,10 @@ def test_a_type_that_cannot_say_it_gets_no_response():
     assert failed_response(BasicTypes, "test_msgs/srv/BasicTypes", CallFailure(FailureReason.TIMEOUT, "why")) is None
 
 
-class LateServer:
-    """Stands for a node, its client and the future of the client: its server is there when a test says so."""
+class LateServer(MagicMock):
+    """Stands for a node and its client: the server is there when a test says so."""
 
-    def __init__(self):
-        self.is_there, self.requests = True, []
+    is_there = True
 
     def create_client(self, *_args, **_options):
         return self
@@ -56,40 +54,27 @@ class LateServer:
     def service_is_ready(self):
         return self.is_there
 
-    def call_async(self, request):
-        self.requests.append(request)
-        return self
 
-    def add_done_callback(self, _callback):
-        """Never call it: nothing answers."""
-
-
-def test_no_request_leaves_before_its_server_can_know_the_client(monkeypatch):
+def test_no_request_leaves_before_its_server_can_know_the_client():
     """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
     node, now_s = LateServer(), 100.0
-    served = ServedCalls(node, None, send=lambda _data, _source: None, local_name=str, clock=lambda: now_s)
-    monkeypatch.setattr(served, "_type_of", lambda _name: "test_msgs/srv/Empty")
-    served.callee.follow(1)
-    body = b"/empty\0test_msgs/srv/Empty\0" + bytes(serialize_message(Empty.Request()))
-
-    def ask(number):
-        served.callee.receive(1, Record(Kind.REQUEST, 2, number, body))
+    client = LocalClient(node, Empty, "/empty", MagicMock(), lambda _call, _response: None, clock=lambda: now_s)
 
     def pass_time(seconds):
         nonlocal now_s
         now_s += seconds
-        served.step(now_s)
-        return len(node.requests)
+        client.step()
+        return node.handle.send_request.call_count
 
-    ask(1)
+    client.call(CallId(1, 1), Empty.Request())
     assert (pass_time(0.2), pass_time(0.2)) == (0, 1)
-    ask(2)
-    assert len(node.requests) == 2
+    client.call(CallId(1, 2), Empty.Request())
+    assert node.handle.send_request.call_count == 2
     node.is_there = False
     pass_time(0.1)
     node.is_there = True
     pass_time(0.1)
-    ask(3)
+    client.call(CallId(1, 3), Empty.Request())
     assert (pass_time(0.1), pass_time(0.3)) == (2, 3)
 
 
