@@ -60,8 +60,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
     with control_node("arpd", link_domain) as node, _own_domain(node, link_domain) as own_node:
         from arpd.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.ros.world import RosControl  # noqa: PLC0415
-        from arpd.web.retrying_server import RetryingServer  # noqa: PLC0415 - after ROS, like the next
-        from arpd.web.service import serving  # noqa: PLC0415
+        from arpd.web.server import HttpServer  # noqa: PLC0415
 
         link, resting, garbage = settings.link.interface, threading.Event(), Garbage()
         world = RosControl(
@@ -75,14 +74,12 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimato
             world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
         )
         diagnostics = Diagnostics(own_node, lambda: daemon.snapshot)
-        web = RetryingServer(
-            lambda: serving(
-                settings.http,
-                lambda: daemon.snapshot,
-                directory=config_path.parent,
-                history=daemon.history,
-                resting=resting,
-            )
+        web = HttpServer(
+            settings.http,
+            snapshot=lambda: daemon.snapshot,
+            directory=config_path.parent,
+            history=daemon.history,
+            resting=resting,
         )
         supervisor = Supervisor(
             daemon,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from array import array
 from collections import deque
@@ -180,20 +179,19 @@ def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
     )
 
 
-def history_json(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> bytes:
-    """Return the history as a JSON document, written topic by topic, so that a tick that is due can begin in between.
+def history_document(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
+    """Return the history as a JSON-safe document; the parameters are those of `history_head`."""
+    return {**history_head(samples, events), "topics": list(history_topics(samples))}
+
+
+def history_head(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
+    """Return the history as a JSON-safe document, but for its topics.
 
     Parameters
     ----------
     samples : oldest first
     events : of the decision log, oldest first
     """
-    head = json.dumps(_head(samples, events), allow_nan=False)
-    topics = ", ".join(json.dumps(topic, allow_nan=False) for topic in _topics(samples))
-    return f'{head[:-1]}, "topics": [{topics}]}}\n'.encode()
-
-
-def _head(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
     newest = samples[-1] if samples else None
     link = {name: _column(getattr(sample.link, name) for sample in samples) for name in LINK_SERIES}
     gate = link.pop("gate")
@@ -211,7 +209,8 @@ def _head(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, A
     }
 
 
-def _topics(samples: tuple[Sample, ...]) -> Iterator[dict[str, Any]]:
+def history_topics(samples: tuple[Sample, ...]) -> Iterator[dict[str, Any]]:
+    """Yield the topics of the document one by one, because each takes milliseconds."""
     if not samples:
         return
     width = len(RATE_SERIES)

@@ -30,7 +30,7 @@ from arpd.report.situation import judge, kept_ratio
 from arpd.report.topic_rows import TopicRow, topic_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from arpd.model.endpoints import SwapRecord
     from arpd.model.observation import Observation
@@ -46,7 +46,17 @@ MOST_EVENTS = 50
 
 
 def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
-    """Return the whole snapshot as a JSON-safe document.
+    """Return the whole snapshot as a JSON-safe document; the parameters are those of `status_head`."""
+    return {**status_head(snapshot, is_ready=is_ready, now_s=now_s), "topics": list(status_topics(snapshot))}
+
+
+def status_topics(snapshot: Snapshot) -> Iterator[dict[str, Any]]:
+    """Yield the topics of the document one by one."""
+    return (_topic(row, snapshot.observation.now_s) for row in topic_rows(snapshot))
+
+
+def status_head(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> dict[str, Any]:
+    """Return the document, but for its topics.
 
     Parameters
     ----------
@@ -105,7 +115,6 @@ def status_document(snapshot: Snapshot, *, is_ready: bool = True, now_s: float |
             "uniform": allocation.uniform and asdict(allocation.uniform),
         },
         "lease": _lease(snapshot),
-        "topics": [_topic(row, snapshot.observation.now_s) for row in rows],
         "totals": _totals(snapshot.totals),
         "events": event_documents(snapshot.events[-MOST_EVENTS:]),
         "config": {"path": snapshot.config_path, "error": snapshot.config_error},

@@ -1,10 +1,12 @@
-"""The protection in force, read at start and whenever one of its files changes."""
+"""Who may ask: the web-config in force, read again when its files change, and the names that the daemon answers to."""
 
 from __future__ import annotations
 
 import ipaddress
 import logging
-import threading
+import socket
+import time
+from functools import cache
 from typing import TYPE_CHECKING
 
 from arpd.model.errors import ConfigError
@@ -24,13 +26,13 @@ _RETRY_S = 10.0  # a file that a broken web-config names may appear while the we
 class Access:
     """Keeps `Protection` up to date with its files; if they cannot be used, the last good one stays in force.
 
-    TLS, users and client certificates cannot be removed without a restart, so that a half-written file does not open
-    the port.
+    TLS, users, client certificates and the list of their names cannot be removed without a restart, so that a
+    half-written file does not open the port.
 
     Parameters
     ----------
     path : web-config file, None = no protection
-    counts : counts the changes
+    counts : notes whether the file can be used
     clock : monotonic clock (s)
 
     Raises
@@ -39,47 +41,39 @@ class Access:
         If the file cannot be used.
     """
 
-    def __init__(self, path: Path | None, *, counts: HttpCounts, clock: Callable[[], float]) -> None:
+    def __init__(self, path: Path | None, *, counts: HttpCounts, clock: Callable[[], float] = time.monotonic) -> None:
         self._path = path
         self._counts = counts
         self._clock = clock
-        self._lock = threading.Lock()
         self._fault = ""
         self._retry_at_s = 0.0
-        self._protection = Protection() if path is None else load_protection(path)
-        self._stamps = _stamps(self._protection.files)
+        self.protection = Protection() if path is None else load_protection(path)
+        self._stamps = _stamps(self.protection.files)
 
-    def current(self) -> Protection:
-        """Return the protection in force; if its files have changed, one thread reads them first."""
-        if self._path is not None and self._lock.acquire(blocking=False):
-            try:
-                self._follow(self._path)
-            finally:
-                self._lock.release()
-        return self._protection
-
-    def _follow(self, path: Path) -> None:
-        stamps = _stamps(self._protection.files)  # taken before reading, so that a later change is read again
+    def follow(self) -> bool:
+        """Read the files again if they have changed; return True if there is another protection in force."""
+        if self._path is None:
+            return False
+        stamps = _stamps(self.protection.files)  # taken before reading, so that a later change is read again
         if stamps == self._stamps and not (self._fault and self._clock() >= self._retry_at_s):
-            return
-        fault = ""
+            return False
+        self._stamps, self._retry_at_s = stamps, self._clock() + _RETRY_S
         try:
-            protection = load_protection(path)
+            protection = load_protection(self._path)
+            fault = _opened(self.protection, protection)
         except ConfigError as error:
             fault = str(error)
-        else:
-            fault = _opened(self._protection, protection)
-        if not fault:
-            if protection.files != self._protection.files:
-                stamps = ()
-            self._protection = protection
-        if fault != self._fault or not fault:
-            self._counts.note_reload(is_good=not fault)
-            if fault:
+        self._counts.is_config_good.set(not fault)
+        if fault:
+            if fault != self._fault:
                 log.error("http.web_config is refused; the last good one stays in force: %s", fault)
-            else:
-                log.info("http.web_config has changed and is in force")
-        self._stamps, self._fault, self._retry_at_s = stamps, fault, self._clock() + _RETRY_S
+            self._fault = fault
+            return False
+        log.info("http.web_config has changed and is in force")
+        if protection.files != self.protection.files:
+            self._stamps = _stamps(protection.files)
+        self.protection, self._fault = protection, ""
+        return True
 
 
 def exposure(address: str, protection: Protection) -> str:
@@ -93,11 +87,46 @@ def exposure(address: str, protection: Protection) -> str:
     return ""
 
 
+def is_own_name(host: str, listening_on: str) -> bool:
+    """Return whether a Host header names this computer: by an address, or by a name of its own.
+
+    A page on the web can let its name lead to this computer (DNS rebinding) and read what the daemon answers to the
+    browser. It cannot do so for an address, nor for a name that is not its own.
+
+    Parameters
+    ----------
+    host : the header, with or without a port
+    listening_on : ``http.host``
+    """
+    name = host.lower()
+    if not name.endswith("]"):
+        name = name.rpartition(":")[0] if ":" in name else name
+    name = name.removesuffix(".")
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return name in ("localhost", listening_on.lower()) or name.endswith(".localhost") or name in _own_names()
+    return True
+
+
+@cache
+def _own_names() -> frozenset[str]:
+    name = socket.gethostname().lower()
+    return frozenset({name, f"{name}.local", socket.getfqdn().lower()})
+
+
+def client_of(address: str) -> str:
+    """Return the client that an address counts for; an IPv6 client may use a whole /64, which counts once."""
+    ip = ipaddress.ip_address(address.partition("%")[0])
+    return str(ipaddress.ip_network((ip, 64), strict=False)) if isinstance(ip, ipaddress.IPv6Address) else str(ip)
+
+
 def _opened(old: Protection, new: Protection) -> str:
     for key, before, after in (
         ("tls_server_config", old.tls, new.tls),
         ("basic_auth_users", old.users, new.users),
         ("client_auth_type", old.requires_certificate, new.requires_certificate),
+        ("client_allowed_sans", old.allowed_sans, new.allowed_sans),
     ):
         if bool(before) and not after:
             return f"{key}: was removed; restart arpd if this is intended"

@@ -1,44 +1,35 @@
-"""Handles requests: bounds, credentials, answers, assets, and the stream of changes."""
+"""Handles requests: who may ask, and the answer for each path."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
+import re
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import aclosing, suppress
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from tornado.iostream import StreamClosedError
-from tornado.web import Application, Finish, GZipContentEncoding, HTTPError, RequestHandler, StaticFileHandler
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 
-from arpd.web.answers import ASSETS, Answer, bare, label
-from arpd.web.connection_limit import Connection, connection_of
+from arpd.web.access import client_of, is_own_name
 from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
-from arpd.web.stream import Feed
 from arpd.web.tls import has_allowed_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
-    from tornado.httputil import HTTPHeaders
-
+    from arpd.report.snapshot import Snapshot
     from arpd.web.access import Access
-    from arpd.web.answers import Answers
+    from arpd.web.documents import Documents
     from arpd.web.http_metrics import HttpCounts
 
-log = logging.getLogger(__name__)
-
-MAX_TARGET_BYTES = 2_048
-MAX_STREAMS = 8
-ANSWER_S = 10.0  # for a client to take an answer
-_STREAM_TYPE = "text/event-stream"
-_THREADS = 2
+HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
+ASSETS = Path(__file__).parent / "assets"
+_PATHS = re.compile(r"/|/metrics|/-/(healthy|ready)|/api/v1/(status|history|schema/(status|history)-v1\.json)")
 _HEADERS = {
     "Server": "arpd",
-    "Cache-Control": "no-store",
+    "Cache-Control": "no-cache",  # a client may keep it, and asks each time whether it changed
+    "Content-Type": "text/plain; charset=utf-8",
     "X-Content-Type-Options": "nosniff",
     # Nothing from elsewhere, nothing inline, and no text that becomes markup.
     "Content-Security-Policy": (
@@ -61,205 +52,163 @@ _OF_VERDICT = {
 }
 
 
-class _Gzip(GZipContentEncoding):
-    GZIP_LEVEL = 1  # already a tenth of the size; higher levels cost the robot more time than they save the link
-    CONTENT_TYPES = GZipContentEncoding.CONTENT_TYPES | {"application/openmetrics-text", "application/schema+json"}
-
-    def transform_first_chunk(self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool) -> Any:  # noqa: FBT001 - Tornado's signature
-        if headers.get("Content-Type") == _STREAM_TYPE:
-            self.GZIP_LEVEL = 6  # events are small, come for hours, and resemble each other
-        return super().transform_first_chunk(status_code, headers, chunk, finishing)
-
-
 class Site(Application):
     """The paths of the daemon.
 
     Parameters
     ----------
-    answers : answers the paths
-    access : protection of connections
+    documents : metrics, status and history
+    access : who may ask
     passwords : judges credentials
     counts : counts answers
+    snapshot, clock : see `Documents`
+    host : ``http.host``
     """
 
-    def __init__(self, *, answers: Answers, access: Access, passwords: Passwords, counts: HttpCounts) -> None:
-        self.answers = answers
+    def __init__(
+        self,
+        *,
+        documents: Documents,
+        access: Access,
+        passwords: Passwords,
+        counts: HttpCounts,
+        snapshot: Callable[[], Snapshot | None],
+        clock: Callable[[], float],
+        host: str,
+    ) -> None:
+        self.documents = documents
         self.access = access
         self.passwords = passwords
         self.counts = counts
-        self.work = ThreadPoolExecutor(_THREADS, thread_name_prefix="arpd-http-answer")
+        self.host = host
         # One more than may wait for bcrypt, so that the next is refused at once.
-        self.bcrypt = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-password")
-        self.feed = Feed(answers.status, pool=self.work)
+        self.threads = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-password")
+        health = {"snapshot": snapshot, "clock": clock, "started_at_s": clock()}
         super().__init__(
             [
-                (rf"{answers.assets}([\w./-]*)", AssetHandler, {"path": ASSETS}),
-                (r"/api/v1/stream", StreamHandler),
-                (r".*", AnswerHandler),
+                (r"/()", _Asset, {"path": ASSETS, "default_filename": "page.html"}),
+                (r"/assets/([\w./-]+)", _Asset, {"path": ASSETS}),
+                (r"/(metrics)", _Document),
+                (r"/api/v1/(status|history)", _Document),
+                (r"/api/v1/schema/(status|history)-v1\.json", _Schema),
+                (r"/-/(healthy|ready)", _Health, health),
             ],
-            transforms=[_Gzip],
+            default_handler_class=_Nothing,
+            compress_response=True,
             log_function=self._count,
         )
 
     def _count(self, handler: RequestHandler) -> None:
-        self.counts.count_request(label(handler.request.path), handler.get_status())
+        path = handler.request.path
+        label = path if _PATHS.fullmatch(path) else "/assets/" if path.startswith("/assets/") else "other"
+        self.counts.requests.labels(label, handler.get_status()).inc()
 
     def close(self) -> None:
         """Start no further work."""
-        for pool in (self.work, self.bcrypt):
-            pool.shutdown(wait=False, cancel_futures=True)
+        self.documents.close()
+        self.threads.shutdown(wait=False, cancel_futures=True)
 
 
 class _Guarded(RequestHandler):
-    """Checks bounds and credentials before each answer, and sets the headers of all answers."""
+    """Lets in who may ask, and sets the headers of all answers."""
+
+    SUPPORTED_METHODS = ("GET", "HEAD")
 
     @property
     def site(self) -> Site:
         return cast("Site", self.application)
 
-    @property
-    def client_connection(self) -> Connection:
-        return connection_of(self.request.connection)
-
     def set_default_headers(self) -> None:
-        for name, value in (_HEADERS | dict(self.site.access.current().headers)).items():
+        for name, value in _HEADERS.items():
             self.set_header(name, value)
 
     async def prepare(self) -> None:
-        """Refuse a request that is too large, has a body, or lacks the right credentials."""
-        request, connection = self.request, self.client_connection
-        connection.is_answered = False
-        protection = self.site.access.current()
-        if protection is not connection.protection:
-            connection.stream.close()  # the client connects again, now under the new rules
-            self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
-            raise Finish
-        if len(request.uri or "") > MAX_TARGET_BYTES:
-            raise HTTPError(HTTPStatus.REQUEST_URI_TOO_LONG)
-        if request.body:
-            raise HTTPError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        if request.method not in ("GET", "HEAD"):
-            raise HTTPError(HTTPStatus.METHOD_NOT_ALLOWED)
-        if protection.allowed_sans and not has_allowed_name(
-            cast("dict[str, Any]", request.get_ssl_certificate()), protection.allowed_sans
-        ):
-            raise HTTPError(HTTPStatus.FORBIDDEN)
+        """Refuse a client that lacks the right certificate, name or password."""
+        protection, request = self.site.access.protection, self.request
+        if protection.allowed_sans:
+            certificate = cast("dict[str, Any]", request.get_ssl_certificate())
+            if not has_allowed_name(certificate, protection.allowed_sans):
+                raise HTTPError(HTTPStatus.FORBIDDEN)
         if protection.users:
             given = request.headers.get("Authorization", "").encode("latin-1", "replace")
-            with connection.working():
-                verdict = await self._run(
-                    self.site.bcrypt, self.site.passwords.judge, protection.users, given, connection.client
-                )
-            self.site.counts.count_authentication(verdict)
+            client = client_of(str(request.remote_ip))
+            verdict = await self._in_thread(self.site.passwords.judge, protection.users, given, client)
+            self.site.counts.authentications.labels(verdict).inc()
             if verdict in _OF_VERDICT:
                 raise HTTPError(_OF_VERDICT[verdict])
+        elif protection.tls is None and not await self._in_thread(is_own_name, request.host, self.site.host):
+            raise HTTPError(HTTPStatus.MISDIRECTED_REQUEST)
 
-    async def _run(self, pool: ThreadPoolExecutor, work: Callable[..., Any], *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(pool, work, *arguments)
+    async def _in_thread(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self.site.threads, work, *arguments)
 
     def write_error(self, status_code: int, **_: Any) -> None:
         """Answer with the code and its phrase, and nothing of the request."""
-        self.give(bare(HTTPStatus(status_code)))
-        self.finish()
-
-    def give(self, answer: Answer) -> None:
-        """Set status, headers and body."""
-        self.set_status(answer.status)
-        headers = {"Content-Type": answer.content_type, **answer.headers, **_OF_STATUS.get(answer.status, {})}
-        for name, value in headers.items():
+        status = HTTPStatus(status_code)
+        for name, value in _OF_STATUS.get(status, {}).items():
             self.set_header(name, value)
-        self.write(answer.body)
-
-    def compute_etag(self) -> str | None:
-        """Name a version of what a client may keep, and of nothing else."""
-        return None if self._headers.get("Cache-Control") == "no-store" else super().compute_etag()
-
-    def on_finish(self) -> None:
-        """Note that the connection is free for its next request."""
-        self.client_connection.is_answered = True
-
-    def log_exception(
-        self, typ: type[BaseException] | None, value: BaseException | None, tb: TracebackType | None
-    ) -> None:
-        """Log what is a fault of ours."""
-        if not isinstance(value, (HTTPError, StreamClosedError)) and typ and value:
-            log.error(
-                "a request from %s could not be answered", self.client_connection.client, exc_info=(typ, value, tb)
-            )
-
-    async def take(self, sent: asyncio.Future[None]) -> None:
-        """Wait until the client has taken what was sent; close the connection of one that does not."""
-        try:
-            async with asyncio.timeout(ANSWER_S):
-                await sent
-        except TimeoutError:
-            self.client_connection.is_answered = False
-            self.client_connection.stream.close()
-            raise StreamClosedError from None
-        except StreamClosedError:
-            self.client_connection.is_answered = False
-            raise
+        hint = "ask by an address of this computer\n" if status is HTTPStatus.MISDIRECTED_REQUEST else ""
+        self.finish(f"{status.value} {status.phrase}\n{hint}")
 
 
-class AnswerHandler(_Guarded):
-    """Every path that `Answers` knows, and 404 for others."""
-
-    async def get(self) -> None:
-        """Make the answer in a thread, and wait until the client has it."""
-        with self.client_connection.working():
-            self.give(await self._run(self.site.work, self._answer, time.monotonic()))
-        with suppress(StreamClosedError):
-            await self.take(self.finish())
+class _Nothing(_Guarded):
+    def get(self) -> None:
+        raise HTTPError(HTTPStatus.NOT_FOUND)
 
     head = get
 
-    def _answer(self, asked_s: float) -> Answer:
-        if self.client_connection.stream.closed():
-            return bare(HTTPStatus.SERVICE_UNAVAILABLE)  # nobody waits for it, others do
-        accept = self.request.headers.get("Accept", "")
-        return self.site.answers.answer(self.request.path, accept, asked_s=asked_s)
 
-
-class AssetHandler(_Guarded, StaticFileHandler):
-    """Scripts and styles, under a path that changes with their content."""
+class _Asset(_Guarded, StaticFileHandler):
+    """The page, its scripts and styles."""
 
     async def prepare(self) -> None:
         """Leave out ranges: they would be those of the compressed file."""
         await super().prepare()
         self.request.headers.pop("Range", None)
 
-    def set_extra_headers(self, path: str) -> None:  # noqa: ARG002 - Tornado's signature
-        """Let browsers keep the file for good."""
-        self.set_header("Cache-Control", "private, max-age=31536000, immutable")
 
-
-class StreamHandler(_Guarded):
-    """The status document as server-sent events: once whole, then its changes."""
-
-    async def get(self) -> None:
-        """Send events until the client leaves or the protection changes."""
-        site, connection = self.site, self.client_connection
-        if site.feed.listeners >= MAX_STREAMS:
-            raise HTTPError(HTTPStatus.SERVICE_UNAVAILABLE)
-        if site.answers.snapshot() is None:
-            self.give(site.answers.answer("/api/v1/status", ""))
-            return
-        self.set_header("Content-Type", _STREAM_TYPE)
-        self.set_header("X-Accel-Buffering", "no")  # nginx would collect the events
-        if self.request.method == "HEAD":
-            return
-        with suppress(StreamClosedError):
-            async with aclosing(site.feed.events(connection.stream.closed)) as events:
-                async for event in events:
-                    self.write(event)
-                    await self.take(self.flush())
-                    connection.is_answered = True
-                    if site.access.current() is not connection.protection:
-                        return
+class _Document(_Guarded):
+    async def get(self, name: str) -> None:
+        document = await self.site.documents.get(name)
+        if not document.is_there:
+            self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
+        self.set_header("Content-Type", document.content_type)
+        self.write(document.body)
 
     head = get
 
-    def on_connection_close(self) -> None:
-        """Give the place to the next listener."""
-        super().on_connection_close()
-        self._leaving = asyncio.ensure_future(self.site.feed.look_around())
+
+class _Schema(_Guarded):
+    def get(self, name: str) -> None:
+        from arpd.web.api.schemas import schema_of  # noqa: PLC0415 - few ask
+
+        self.set_header("Content-Type", "application/schema+json")
+        self.write(schema_of(name))
+
+    head = get
+
+
+class _Health(_Guarded):
+    def initialize(
+        self, *, snapshot: Callable[[], Snapshot | None], clock: Callable[[], float], started_at_s: float
+    ) -> None:
+        self._snapshot = snapshot()
+        # Before the first tick the start counts, so that a slow start is no hang.
+        self._since_s = clock() - (started_at_s if self._snapshot is None else self._snapshot.finished_at_s)
+
+    def get(self, what: str) -> None:
+        wrong = self._not_healthy() if what == "healthy" else self._not_ready()
+        if wrong:
+            self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
+        self.write(f"{wrong or what}\n")
+
+    head = get
+
+    def _not_healthy(self) -> str:
+        if self._since_s < HEALTHY_S:
+            return ""
+        what = "the last tick finished" if self._snapshot else "no tick has finished since the start"
+        return f"unhealthy: {what} {self._since_s:.1f} s ago; the limit is {HEALTHY_S:.0f} s"
+
+    def _not_ready(self) -> str:
+        return "" if self._snapshot else "not ready: no tick has finished yet"

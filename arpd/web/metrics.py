@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import platform
 import time
 from collections import Counter
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
 from prometheus_client.core import InfoMetricFamily
@@ -16,34 +15,60 @@ from prometheus_client.registry import Collector
 from arpd import __version__
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.endpoints import RefusalReason
+from arpd.model.interface import InterfaceState, state_of
 from arpd.model.link import CapacityKind, LinkState
 from arpd.model.observation import MessageKind, MessageRefusal
-from arpd.model.settings import Backend
+from arpd.relay.calls import FailureReason
+from arpd.report.events import EventKind
 from arpd.report.topic_rows import topic_rows
-from arpd.web.families import counter_of, gauge, gauge_by, gauge_of
-from arpd.web.link_metrics import link_metrics
-from arpd.web.relay_metrics import relay_metrics
+from arpd.web.families import Rows, counts, family, histogram, states
 from arpd.web.topic_metrics import topic_metrics
-from arpd.web.total_metrics import total_metrics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from enum import StrEnum
 
-    from prometheus_client.metrics_core import Metric
+    from prometheus_client.core import Metric
 
-    from arpd.report.snapshot import Snapshot
+    from arpd.model.interface import LinkCounters
+    from arpd.model.relay import RelaySummary
+    from arpd.report.durations import Distribution
+    from arpd.report.snapshot import Snapshot, Totals
 
-_GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
+_Value: TypeAlias = "Rows | float | None"
+
+# Known values start at zero, so that rate() sees their first increase.
+_CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
+_LASTING = sorted(set(RefusalReason) - {RefusalReason.NONE})
+
+_LINK: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
     (
         "arpd_link_capacity_bytes_per_second",
         "Wire bytes per second that the link carries, as estimated.",
         lambda s: s.link.capacity_bytes_per_second,
     ),
     (
+        "arpd_link_capacity_kind",
+        "Evidence behind the capacity estimate. 1 marks the current one.",
+        lambda s: states("kind", CapacityKind, s.link.kind),
+    ),
+    (
+        "arpd_link_state",
+        "State of the link. 1 marks the current one.",
+        lambda s: states("state", LinkState, s.link.state),
+    ),
+    ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
+    (
         "arpd_link_foreign_bytes_per_second",
         "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity.",
         lambda s: s.link.cross_traffic_bytes_per_second,
+    ),
+    (
+        "arpd_link_other_bytes_per_second",
+        "Traffic of the last second beside topics, probes and reports: DDS discovery, calls, other programs.",
+        lambda s: (
+            s.other_traffic
+            and [({"direction": direction}, rate) for direction, rate in sorted(s.other_traffic._asdict().items())]
+        ),
     ),
     (
         "arpd_link_queue_delay_seconds",
@@ -51,37 +76,58 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         lambda s: s.link.queue_delay_s,
     ),
     (
+        "arpd_link_return_delay_seconds",
+        "One-way delay of the peer's reports above its minimum of the last 10 seconds; commands wait as long.",
+        lambda s: s.link.return_delay_s,
+    ),
+    (
         "arpd_link_delivery_rate_bytes_per_second",
         "Bytes per second that the peer received over the last 300 ms.",
         lambda s: s.link.delivery_rate_bytes_per_second,
     ),
     (
-        "arpd_link_packet_overhead_seconds",
-        "Link time that every packet costs beyond its bytes.",
-        lambda s: s.link.packet_overhead_s,
+        "arpd_link_loss_ratio",
+        "Share of recent probe packets that never reached a peer.",
+        lambda s: s.link.loss_ratio,
     ),
-    ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
+    ("arpd_peers", "Peers heard in the last minute.", lambda s: len(s.observation.peer_ages_s)),
     (
-        "arpd_link_app_limited",
-        "1 while the traffic is too small to show the capacity.",
-        lambda s: s.link.is_app_limited,
-    ),
-    ("arpd_memory_total_bytes", "Memory of the robot computer.", lambda s: s.observation.memory.total_bytes),
-    (
-        "arpd_memory_available_bytes",
-        "Memory of the robot computer that new work could use.",
-        lambda s: s.observation.memory.available_bytes,
+        "arpd_peer_report_age_seconds",
+        "Time since the peer's last report.",
+        lambda s: [({"peer": peer}, age_s) for peer, age_s in sorted(s.observation.peer_ages_s.items())],
     ),
     (
-        "arpd_other_daemons",
-        "Other arpd daemons in the ROS domain; only one of them drives the robot.",
-        lambda s: len(s.observation.other_daemons),
+        "arpd_peer_clock_uncertainty_seconds",
+        "Most error of the difference of the clocks: half the shortest round trip of the last 30 seconds.",
+        lambda s: [({"peer": peer}, at.uncertainty_s) for peer, at in sorted(s.observation.peer_clocks.items())],
+    ),
+)
+
+# With the configured name, because a rename of the interface must not begin new series.
+_INTERFACE: tuple[tuple[str, str, Callable[[LinkCounters], float]], ...] = (
+    (
+        "arpd_interface_receive_bytes_total",
+        "Bytes that the link interface received.",
+        lambda c: c.rx_bytes,
     ),
     (
-        "arpd_standing_by",
-        "1 while another daemon drives the robot and this one stands by.",
-        lambda s: bool(s.observation.active_daemon),
+        "arpd_interface_transmit_bytes_total",
+        "Bytes that the link interface sent.",
+        lambda c: c.tx_bytes,
     ),
+    (
+        "arpd_interface_transmit_packets_total",
+        "Packets that the link interface sent.",
+        lambda c: c.tx_packets,
+    ),
+    (
+        "arpd_interface_transmit_dropped_packets_total",
+        "Packets dropped on the way out.",
+        lambda c: c.tx_dropped,
+    ),
+)
+
+_PLAN: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
     (
         "arpd_link_budget_bytes_per_second",
         "Wire bytes per second that the topics may put on the link now.",
@@ -98,30 +144,61 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         lambda s: s.decision.plan.level_bytes_per_second,
     ),
     (
+        "arpd_allocation_status",
+        "Status of the allocation. 1 marks the current one.",
+        lambda s: states("status", AllocationStatus, s.allocation.status),
+    ),
+    (
+        "arpd_topics_bound_by_memory",
+        "Topics whose depth memory limits.",
+        lambda s: sum(topic.depth_binding is Binding.MEMORY for topic in s.allocation.topics),
+    ),
+    (
         "arpd_plan_generation",
         "Generation of the plan in force; 0 before the first.",
         lambda s: s.decision.plan.generation,
     ),
-    ("arpd_plan_topics", "Topics that the plan in force covers.", lambda s: len(s.decision.plan.topics)),
-    (
-        "arpd_publishers_managed",
-        "Live publishers that the plan in force covers.",
-        lambda s: sum(row.planned is not None for row in topic_rows(s)),
-    ),
+    ("arpd_publishers_managed", "Live publishers that the plan in force covers.", lambda s: s.managed),
     (
         "arpd_publishers_confirmed",
         "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its ceiling.",
         lambda s: s.confirmed,
     ),
     (
-        "arpd_allocation_capacity_bytes_per_second",
-        "The same as arpd_link_budget_bytes_per_second, under its older name.",
-        lambda s: s.allocation.capacity_bytes_per_second,
+        "arpd_publishers_refused",
+        "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced.",
+        lambda s: counts("reason", _LASTING, Counter(p.refusal_reason for p in s.observation.publishers)),
     ),
     (
-        "arpd_lease_seconds",
-        "Silence of the daemon after which publishers return to their application's QoS; +Inf is never.",
-        lambda s: s.lease_s or math.inf,
+        "arpd_endpoints_pending",
+        "Publishers that announce themselves but that the ROS graph does not show.",
+        lambda s: s.observation.taken.pending,
+    ),
+    (
+        "arpd_other_daemons",
+        "Other arpd daemons in the ROS domain; only one of them drives the robot.",
+        lambda s: len(s.observation.other_daemons),
+    ),
+    (
+        "arpd_standing_by",
+        "1 while another daemon drives the robot and this one stands by.",
+        lambda s: bool(s.observation.active_daemon),
+    ),
+    (
+        "arpd_messages_refused_total",
+        "Messages from the network, or parts of them, that arpd refused.",
+        lambda s: [
+            ({"kind": kind, "reason": reason}, s.observation.taken.refused.get((kind, reason), 0))
+            for kind, reason in product(MessageKind, MessageRefusal)
+        ],
+    ),
+)
+
+_DAEMON: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
+    (
+        "arpd_memory_available_bytes",
+        "Memory of the robot computer that new work could use.",
+        lambda s: s.observation.memory.available_bytes,
     ),
     (
         "arpd_config_last_reload_successful",
@@ -129,28 +206,87 @@ _GAUGES: tuple[tuple[str, str, Callable[[Snapshot], float]], ...] = (
         lambda s: not s.config_error,
     ),
     (
-        "arpd_config_last_reload_success_timestamp_seconds",
-        "Unix time at which the configuration in force was read.",
-        lambda s: s.config_loaded_at_s,
-    ),
-    (
         "arpd_config_keys_awaiting_restart",
         "Changed keys that take effect only after a restart.",
         lambda s: len(s.keys_awaiting_restart),
     ),
 )
-_STATE_SETS: tuple[tuple[str, str, str, type[StrEnum], Callable[[Snapshot], str]], ...] = (
-    ("arpd_link_capacity_kind", "Evidence behind the capacity estimate.", "kind", CapacityKind, lambda s: s.link.kind),
-    ("arpd_link_state", "State of the link.", "state", LinkState, lambda s: s.link.state),
-    ("arpd_allocation_status", "Status of the allocation.", "status", AllocationStatus, lambda s: s.allocation.status),
+
+_TOTALS: tuple[tuple[str, str, Callable[[Totals], _Value]], ...] = (
     (
-        "arpd_allocation_binding",
-        "Constraint that binds the allocation as a whole.",
-        "binding",
-        Binding,
-        lambda s: s.allocation.binding,
+        "arpd_ticks_total",
+        "Ticks: each observes, estimates and sends the price; two a second also plan.",
+        lambda t: t.ticks + t.ticks_failed,
     ),
-    ("arpd_allocation_backend", "Solver that answered last.", "backend", Backend, lambda s: s.allocation.backend),
+    (
+        "arpd_tick_failures_total",
+        "Ticks that raised an error; the plan in force stays and the journal has the error.",
+        lambda t: t.ticks_failed,
+    ),
+    ("arpd_ticks_late_total", "Ticks that began more than half a period late.", lambda t: t.ticks_late),
+    ("arpd_probe_bytes_total", "Wire bytes of the probes.", lambda t: t.probe_bytes),
+    ("arpd_peer_reports_total", "Reports of peers that arrived.", lambda t: t.reports),
+    ("arpd_events_total", "Lines of the decision log.", lambda t: counts("event", EventKind, t.events_by_kind)),
+    ("arpd_plans_total", "Plans made.", lambda t: counts("cause", _CAUSES, t.plans_by_cause)),
+    (
+        "arpd_refusals_total",
+        "Plans and swaps that were due and had to wait.",
+        lambda t: counts("reason", ("budget", "dwell"), t.refusals_by_reason),
+    ),
+    (
+        "arpd_apply_failures_total",
+        "Plans that a node refused or did not answer; arpd repeats them.",
+        lambda t: counts("reason", ("refused", "timeout"), t.applies_by_result),
+    ),
+    (
+        "arpd_solve_failures_total",
+        "Solves without an answer, or with one that missed the budget; the closed form answered instead.",
+        lambda t: sum(many for (_, outcome), many in t.solves_by_outcome.items() if outcome in ("failed", "disagreed")),
+    ),
+)
+
+_HISTOGRAMS: tuple[tuple[str, str, Callable[[Totals], Distribution]], ...] = (
+    ("arpd_tick_duration_seconds", "Duration of finished ticks.", lambda t: t.durations.ticks),
+    (
+        "arpd_tick_lateness_seconds",
+        "Delay after the planned time at which ticks began; above 0.05 counts as late.",
+        lambda t: t.durations.lateness,
+    ),
+    (
+        "arpd_solve_duration_seconds",
+        "Duration of solves of the whole program; a tick that brings nothing new needs none.",
+        lambda t: t.durations.solves,
+    ),
+)
+
+_RELAY: tuple[tuple[str, str, Callable[[RelaySummary], _Value]], ...] = (
+    (
+        "arpd_relay_other_end_up",
+        "1 while the relay's other end is heard and understood.",
+        lambda r: r.is_reachable and not r.fault,
+    ),
+    (
+        "arpd_relay_topics",
+        "Topics that one side offers, that the other one reads, and that an end refuses, with refused services.",
+        lambda r: [
+            ({"direction": direction, "state": state}, many)
+            for direction, each in (("to_base", r.to_base), ("to_robot", r.to_robot))
+            for state, many in (("offered", each.offered), ("refused", len(each.refused)), ("wanted", each.wanted))
+        ],
+    ),
+    (
+        "arpd_relay_samples_total",
+        "Samples at the robot's end: new, second copies, outdated in an outage, of unknown writers or half a group.",
+        lambda r: [
+            ({"result": result}, getattr(r, result))
+            for result in ("doubled", "incomplete", "outdated", "received", "unknown")
+        ],
+    ),
+    (
+        "arpd_relay_calls_failed_total",
+        "Calls from the robot's nodes across the link that had no answer.",
+        lambda r: counts("reason", (reason.value for reason in FailureReason), r.calls_failed),
+    ),
 )
 
 
@@ -177,63 +313,63 @@ class SnapshotCollector(Collector):
         self._build = {"version": version, "python": python}
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the families in a fixed order, their series sorted by label."""
+        """Yield the families in a fixed order; what is not known has none."""
         snapshot = self._snapshot()
         yield InfoMetricFamily("arpd_build", "Version of arpd and of Python.", value=self._build)
-        yield gauge("arpd_ready", "1 once the first tick has finished.", snapshot is not None)
-        if snapshot is None:
-            return
+        yield family("arpd_ready", "1 once the first tick has finished.", snapshot is not None)
+        if snapshot is not None:
+            yield from (made for made in self._of(snapshot) if made.samples)
+
+    def _of(self, snapshot: Snapshot) -> Iterator[Metric]:
         age_s = max(0.0, self._clock() - snapshot.finished_at_s)
-        yield gauge("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
-        yield from _of_daemon(snapshot)
-        yield from total_metrics(snapshot.totals)
-        yield from link_metrics(snapshot)
-        yield from relay_metrics(snapshot.observation)
-        yield from topic_metrics(topic_rows(snapshot), now_s=snapshot.observation.now_s)
-        yield from refusal_metrics(snapshot)
+        yield family("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
+        for name, text, read in (*_LINK, *_PLAN, *_DAEMON):
+            yield family(name, text, read(snapshot))
+        yield from _of_interface(snapshot)
+        if rmw := snapshot.observation.rmw:
+            labels = {"rmw": rmw, "swaps": "no" if snapshot.observation.rmw_refusal else "yes"}
+            yield InfoMetricFamily("arpd_rmw", "ROS middleware; if swaps is no, arpd only paces topics.", labels)
+        for name, text, total in _TOTALS:
+            yield family(name, text, total(snapshot.totals))
+        for name, text, distribution in _HISTOGRAMS:
+            yield histogram(name, text, distribution(snapshot.totals))
+        yield from _of_relay(snapshot)
+        yield from topic_metrics(topic_rows(snapshot))
 
 
-def make_registry(snapshot: Callable[[], Snapshot | None]) -> CollectorRegistry:
+def make_registry(
+    snapshot: Callable[[], Snapshot | None], *, clock: Callable[[], float] = time.monotonic
+) -> CollectorRegistry:
     """Return a registry with arpd's metrics and the usual ``process_*`` and ``python_info``."""
     registry = CollectorRegistry()
-    registry.register(SnapshotCollector(snapshot))
+    registry.register(SnapshotCollector(snapshot, clock=clock))
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
     return registry
 
 
-def _of_daemon(snapshot: Snapshot) -> Iterator[Metric]:
-    for name, text, read in _GAUGES:
-        yield gauge(name, text, read(snapshot))
-    for name, text, label, states, current in _STATE_SETS:
-        holds = current(snapshot)
-        yield gauge_by(name, text, label, {*states, holds}, (({}, holds),))
-    reasons = Counter(row.publisher.refusal_reason for row in topic_rows(snapshot))
-    yield gauge_of(
-        "arpd_publishers_refused",
-        "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced.",
-        (({"reason": reason}, reasons[reason]) for reason in sorted(set(RefusalReason) - {RefusalReason.NONE})),
+def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:
+    labels, counters = {"interface": snapshot.interface}, snapshot.observation.counters
+    yield family(
+        "arpd_link_interface_state",
+        "State of the link interface. 1 marks the current one.",
+        states("state", InterfaceState, state_of(counters), **labels),
     )
-    observation = snapshot.observation
-    counts = {"actuation": observation.actuation_topics, "sensing": observation.sensing_topics}
-    series = (({"direction": direction}, count) for direction, count in counts.items())
-    yield gauge_of("arpd_graph_topics", "Topics that cross the link, managed or not.", series)
-    if observation.rmw:
-        swaps = "no" if observation.rmw_refusal else "yes"
-        labels = {"rmw": observation.rmw, "swaps": swaps}
-        yield InfoMetricFamily("arpd_rmw", "ROS middleware; if swaps is no, arpd only paces topics.", labels)
+    radio = snapshot.observation.radio_bytes_per_second
+    text = "Bit rate at which the radio transmits; only a part of it is usable."
+    yield family("arpd_link_radio_bytes_per_second", text, None if radio is None else [(labels, radio)])
+    if counters is not None:
+        for name, text, read in _INTERFACE:
+            yield family(name, text, [(labels, read(counters))])
 
 
-def refusal_metrics(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield the families in a fixed order; no message from the network can add a value to a label."""
-    taken = snapshot.observation.taken
-    yield counter_of(
-        "arpd_messages_refused",
-        "Messages from the network, or parts of them, that arpd refused.",
-        (
-            ({"kind": kind, "reason": reason}, taken.refused.get((kind, reason), 0))
-            for kind, reason in product(MessageKind, MessageRefusal)
-        ),
-    )
-    text = "Publishers that announce themselves but that the ROS graph does not show."
-    yield gauge("arpd_endpoints_pending", text, taken.pending)
+def _of_relay(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield nothing without two ends, and only the first while the end on the robot is silent."""
+    relay = snapshot.observation.relay
+    if relay is None and not snapshot.observation.is_relay_silent:
+        return
+    text = "1 while the relay's end on the robot tells the daemon what it does."
+    yield family("arpd_relay_end_up", text, relay is not None)
+    if relay is not None:
+        for name, text, read in _RELAY:
+            yield family(name, text, read(relay))

@@ -1,218 +1,203 @@
-"""The HTTP server: Tornado in a thread of its own, which no client can make wait."""
+"""The HTTP server: Tornado in a thread of its own, which listens as soon as it can and makes no tick wait."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import os
-import socket
-import ssl
 import threading
 import time
-from contextlib import suppress
-from functools import partial
+from collections import Counter
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tornado.iostream import IOStream, SSLIOStream
-from tornado.netutil import ssl_wrap_socket
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
 
-from arpd.model.errors import ArpdError
 from arpd.report.history import History
-from arpd.web.access import Access, exposure
-from arpd.web.answers import Answers
-from arpd.web.connection_limit import MAX_HEAD_BYTES, ConnectionLimit, client_of
-from arpd.web.exposition import Exposition
+from arpd.web.access import Access, client_of, exposure
+from arpd.web.documents import Documents
 from arpd.web.handlers import Site
-from arpd.web.http_metrics import HttpCounts, HttpRefusal
+from arpd.web.http_metrics import HttpCounts
+from arpd.web.metrics import make_registry
 from arpd.web.passwords import Passwords
+from arpd.web.web_config import web_config_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
-    from prometheus_client import CollectorRegistry
+    from tornado.iostream import IOStream
 
+    from arpd.model.settings import HttpSettings
     from arpd.report.snapshot import Snapshot
 
 log = logging.getLogger(__name__)
 
-_BACKLOG = 128  # when the queue is full, the client's kernel tries again after a second
-_PAUSE_S = 0.05  # without a free descriptor, accept() fails at once every time
+MAX_CONNECTIONS = 32  # each may hold a whole answer that its client does not take
+_LIMITS = {
+    "max_header_size": 16_384,
+    "idle_connection_timeout": 20.0,  # for a head, the handshake included, and between two requests
+    "max_body_size": 65_536,  # read and ignored; a client whose body is not read may lose the answer
+    "body_timeout": 5.0,
+}
+_LOOK_S = 1.0  # between two looks at the files of the web-config, and two tries to listen
 _STOP_S = 2.0
-_BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\nRetry-After: 1\r\n\r\n"
-_PLAIN_TO_TLS = (
-    b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Type: text/plain; charset=utf-8\r\n\r\n"
-    b"400 Bad Request: this port speaks HTTPS\n"
-)
-
-
-class HttpAddressError(ArpdError):
-    """The HTTP server cannot listen on its address."""
 
 
 class HttpServer:
-    """Serves answers from threads of its own, so that no client can delay the tick.
+    """Serves metrics, health, status and page; without a free port the daemon governs all the same.
 
     Parameters
     ----------
-    host, port : address to listen on; port 0 takes a free one
-    snapshot, is_ready : see `Answers`
-    registry, resting : see `Exposition`
+    http : address and web-config
+    snapshot : returns the last snapshot, None before the first tick finished
+    directory : folder of the configuration file, where a relative ``http.web_config`` starts
     history : the last ten minutes, None = empty
-    web_config : file with TLS and users, None = neither
-    counts : counts of the server itself
-    clock : monotonic clock of the snapshots' times (s)
+    resting : set while no tick runs, None = there are no ticks
+    clock : monotonic clock of the snapshots (s)
 
     Raises
     ------
     ConfigError
         If the web-config cannot be used.
+
+    Attributes
+    ----------
+    fault : why there are no metrics, empty while it listens
+    registry : what it exposes
     """
 
     def __init__(
         self,
-        host: str,
-        port: int,
+        http: HttpSettings,
         *,
         snapshot: Callable[[], Snapshot | None],
-        registry: CollectorRegistry,
-        resting: threading.Event | None = None,
-        is_ready: Callable[[], bool] = lambda: True,
+        directory: Path = Path(),
         history: History | None = None,
-        web_config: Path | None = None,
-        counts: HttpCounts | None = None,
+        resting: threading.Event | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._host = host
-        self._port = port
-        self._counts = counts or HttpCounts()
-        self._access = Access(web_config, counts=self._counts, clock=time.monotonic)
-        self._answers = Answers(
+        if resting is None:
+            resting = threading.Event()
+            resting.set()
+        self.registry = make_registry(snapshot, clock=clock)
+        self._http = http
+        counts = HttpCounts(self.registry)
+        self._access = Access(web_config_path(http, directory=directory), counts=counts)
+        self._site = Site(
+            documents=Documents(
+                snapshot=snapshot, history=history or History(), registry=self.registry, resting=resting, clock=clock
+            ),
+            access=self._access,
+            passwords=Passwords(clock=time.monotonic, secret=os.urandom(32)),
+            counts=counts,
             snapshot=snapshot,
-            is_ready=is_ready,
-            exposition=Exposition(registry, resting=resting),
             clock=clock,
-            started_at_s=clock(),
-            history=history or History(),
+            host=http.host,
         )
-        self._end: Callable[[], object] = lambda: None
-        self._thread: threading.Thread | None = None
-
-    @property
-    def port(self) -> int:
-        """Port in use; before `start`, the port asked for."""
-        return self._port
+        self.fault = ""
+        self.port = 0  # while it listens
 
     @property
     def url(self) -> str:
         """Base URL without a trailing slash."""
-        scheme = "http" if self._access.current().tls is None else "https"
-        return f"{scheme}://{_bracketed(self._host)}:{self._port}"
+        scheme = "http" if self._access.protection.tls is None else "https"
+        return f"{scheme}://{_bracketed(self._http.host)}:{self.port or self._http.port}"
 
-    def start(self) -> None:
-        """Listen and serve.
-
-        Raises
-        ------
-        HttpAddressError
-            If the address cannot be used.
-        """
-        where = f"{_bracketed(self._host)}:{self._port}"
+    @contextmanager
+    def up(self) -> Iterator[None]:
+        """Listen, or try to, while the block lasts."""
+        logging.getLogger("tornado.general").setLevel(logging.CRITICAL)  # it warns of what clients do wrong
+        tried, loop = threading.Event(), asyncio.new_event_loop()
+        stop = asyncio.Event()
+        thread = threading.Thread(target=self._run, args=(loop, stop, tried), name="arpd-http", daemon=True)
+        thread.start()
+        tried.wait()
         try:
-            family, _, _, _, address = socket.getaddrinfo(
-                self._host or None, self._port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )[0]
-            listener = socket.create_server(address, family=family, backlog=_BACKLOG)
-        except (OSError, UnicodeError, OverflowError) as error:
-            raise HttpAddressError(
-                f"http: cannot listen on {where}: {getattr(error, 'strerror', None) or error}; set http.host and "
-                f"http.port in the configuration to a free address of this machine (ss -ltnp shows who listens)"
-            ) from error
-        listener.setblocking(False)  # noqa: FBT003 - the socket module's own signature
-        self._port = listener.getsockname()[1]
-        if amiss := exposure(listener.getsockname()[0], self._access.current()):
-            log.warning("http: %s is open to the network, and %s", self.url, amiss)
-        logging.getLogger("tornado.general").setLevel(logging.CRITICAL)  # it warns of each handshake that fails
-        started = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(listener, started), name="arpd-http", daemon=True)
-        self._thread.start()
-        started.wait()
-
-    def stop(self) -> None:
-        """Close the port and all connections."""
-        thread, self._thread = self._thread, None
-        if thread is not None:
+            yield
+        finally:
             with suppress(RuntimeError):  # it has failed: its loop is closed
-                self._end()
+                loop.call_soon_threadsafe(stop.set)
             thread.join(_STOP_S)
 
-    def _run(self, listener: socket.socket, started: threading.Event) -> None:
+    def _run(self, loop: asyncio.AbstractEventLoop, stop: asyncio.Event, tried: threading.Event) -> None:
         try:
-            with listener:
-                asyncio.run(self._serve(listener, started))
-        except Exception:
+            with asyncio.Runner(loop_factory=lambda: loop) as runner:
+                runner.run(self._serve(stop, tried))
+        except Exception as error:
             log.exception("the HTTP server has failed; no metrics until arpd restarts")
+            self.fault = f"no metrics: {error}"
         finally:
-            started.set()
+            tried.set()
 
-    async def _serve(self, listener: socket.socket, started: threading.Event) -> None:
-        """Accept connections until `stop`."""
-        site = Site(
-            answers=self._answers,
-            access=self._access,
-            passwords=Passwords(clock=time.monotonic, secret=os.urandom(32)),
-            counts=self._counts,
-        )
-        limit = ConnectionLimit(site, counts=self._counts, clock=time.monotonic)
-        accepting = asyncio.create_task(self._accept(listener, limit))
-        self._end = partial(asyncio.get_running_loop().call_soon_threadsafe, accepting.cancel)
-        started.set()
-        with suppress(asyncio.CancelledError):
-            await accepting
-        limit.close()
-        site.close()
+    async def _serve(self, stop: asyncio.Event, tried: threading.Event) -> None:
+        server = _Server(self._site, ssl_options=self._access.protection.tls, **_LIMITS)
+        try:
+            while not stop.is_set():
+                if not self.port:
+                    self._listen(server)
+                tried.set()
+                if self._access.follow():
+                    server.ssl_options = self._access.protection.tls
+                    server.close_connections()  # they came under the rules of before
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(stop.wait(), _LOOK_S)
+        finally:
+            self.port = 0
+            server.stop()
+            server.close_connections()
+            self._site.close()
 
-    async def _accept(self, listener: socket.socket, limit: ConnectionLimit) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            try:
-                connection, address = await loop.sock_accept(listener)
-            except OSError:
-                await asyncio.sleep(_PAUSE_S)
-                continue
-            try:
-                self._admit(connection, client_of(str(address[0])), limit)
-            except Exception:
-                log.exception("a connection failed")
-                connection.close()
+    def _listen(self, server: _Server) -> None:
+        where = f"{_bracketed(self._http.host)}:{self._http.port}"
+        try:
+            sockets = bind_sockets(self._http.port, self._http.host)
+        except (OSError, UnicodeError, OverflowError) as error:
+            fault = f"no metrics: http: cannot listen on {where}: {getattr(error, 'strerror', None) or error}"
+            if fault != self.fault:
+                log.error(  # noqa: TRY400 - no traceback needed
+                    "%s; arpd tries again. Set http.host and http.port to a free address of this machine "
+                    "(ss -ltnp shows who listens)",
+                    fault,
+                )
+            self.fault = fault
+            return
+        self.fault, self.port = "", sockets[0].getsockname()[1]
+        server.add_sockets(sockets)
+        log.info("metrics at %s/metrics", self.url)
+        if amiss := exposure(sockets[0].getsockname()[0], self._access.protection):
+            log.warning("http: %s is open to the network, and %s", self.url, amiss)
 
-    def _admit(self, connection: socket.socket, client: str, limit: ConnectionLimit) -> None:
-        protection = self._access.current()
-        if protection.tls is None:
-            stream = IOStream(connection)
-        else:
-            try:
-                sealed = ssl_wrap_socket(connection, protection.tls, server_side=True, do_handshake_on_connect=False)
-            except OSError:  # gone before its handshake
-                self._counts.count_refused(HttpRefusal.TLS)
-                connection.close()
-                return
-            stream = _TlsStream(sealed)
-        if not limit.serve(stream, client, protection):
-            if protection.tls is None:
-                stream.write(_BUSY)
+
+class _Server(HTTPServer):
+    """Tornado's server with a bound on connections, at which a newcomer closes another's.
+
+    It closes the oldest one of the client that has most, so a flood closes its own, and a scrape always gets in.
+    """
+
+    def initialize(self, *arguments: Any, **options: Any) -> None:
+        super().initialize(*arguments, **options)
+        self._clients: dict[Any, str] = {}  # by stream, oldest first
+        self._counts: HttpCounts = arguments[0].counts
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        if len(self._clients) >= MAX_CONNECTIONS:
+            ((most, _),) = Counter(self._clients.values()).most_common(1)
+            oldest = next(each for each, client in self._clients.items() if client == most)
+            del self._clients[oldest]
+            self._counts.evicted.inc()
+            oldest.close()
+        self._clients[stream] = client_of(str(address[0]))
+        super().handle_stream(stream, address)
+
+    def on_close(self, server_conn: Any) -> None:
+        super().on_close(server_conn)
+        self._clients.pop(server_conn.stream, None)
+
+    def close_connections(self) -> None:
+        for stream in tuple(self._clients):
             stream.close()
-
-
-class _TlsStream(SSLIOStream):
-    """Tells a client that speaks plain HTTP what is wrong."""
-
-    def close(self, exc_info: Any = False) -> None:  # noqa: FBT002 - Tornado's signature
-        if isinstance(exc_info, ssl.SSLError) and exc_info.reason == "HTTP_REQUEST":
-            with suppress(OSError):
-                socket.socket.send(self.socket, _PLAIN_TO_TLS)
-                socket.socket.recv(self.socket, MAX_HEAD_BYTES)  # unread bytes would reset the connection
-        super().close(exc_info)
 
 
 def _bracketed(host: str) -> str:

@@ -21,7 +21,7 @@ def exposition(snapshot) -> str:
     registry.register(
         SnapshotCollector(lambda: snapshot, clock=lambda: FINISHED_AT_S + 0.25, version="1.2.3", python="3.11.0")
     )
-    registry.register(HttpCounts())
+    HttpCounts(registry)
     return generate_latest(registry).decode()
 
 

@@ -6,12 +6,11 @@ import socket
 import ssl
 import subprocess
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPSConnection
 from types import SimpleNamespace
 
-from prometheus_client import CollectorRegistry
-
-from arpd.web.http_metrics import HttpCounts
+from arpd.model.settings import HttpSettings
 from arpd.web.server import HttpServer
 
 HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
@@ -41,8 +40,8 @@ class Clock:
 class Running:
     """A server under a web-config, and a client for it."""
 
-    def __init__(self, server, counts):
-        self.server, self.counts = server, counts
+    def __init__(self, server):
+        self.server = server
         self.address = ("127.0.0.1", server.port)
 
     def get(self, path="/-/healthy", *, tls=None, method="GET", **headers):
@@ -74,28 +73,20 @@ class Running:
                 return b""
 
     def count(self, name, **labels):
-        registry = CollectorRegistry()
-        registry.register(self.counts)
-        return registry.get_sample_value(name, labels)
+        return self.server.registry.get_sample_value(name, labels) or 0
 
 
 @contextmanager
-def running(folder=None, text=None, *, snapshot=lambda: None, collector=None, **options):
+def running(folder=None, text=None, *, snapshot=lambda: None, **options):
     """Run a server, under a web-config of ``text`` in ``folder`` if there is one."""
-    path = None
+    http = HttpSettings(port=0)
     if text is not None:
-        path = folder / "web.yaml"
-        path.write_text(text)
-    counts, registry = HttpCounts(), CollectorRegistry()
-    registry.register(counts)
-    if collector is not None:
-        registry.register(collector)
-    server = HttpServer("127.0.0.1", 0, snapshot=snapshot, registry=registry, web_config=path, counts=counts, **options)
-    server.start()
-    try:
-        yield Running(server, counts)
-    finally:
-        server.stop()
+        (folder / "web.yaml").write_text(text)
+        http = replace(http, web_config="web.yaml")
+        options["directory"] = folder
+    server = HttpServer(http, snapshot=snapshot, **options)
+    with server.up():
+        yield Running(server)
 
 
 def trusting(folder, *, client=""):

@@ -1,12 +1,10 @@
-// Keeps the page up to date: the status by server-sent events while the page is visible, the history after a gap.
+// Keeps the page up to date: asks for the status while the page is visible, and for the history after a gap.
 
 import { Charts } from "./charts.js";
 import { Fields, clock } from "./fields.js";
-import { apply } from "./patch.js";
 import { Topics } from "./topics.js";
 
 const PERIOD_MS = 1000;
-const AGAIN_MS = 2000; // between two tries while no event comes
 const TIMEOUT_MS = 4000;
 const HISTORY_TIMEOUT_MS = 10000; // it is large
 const MOST_HISTORY_PAUSE_MS = 60000;
@@ -20,18 +18,16 @@ const live = document.getElementById("live");
 const freshness = document.getElementById("freshness");
 const announcement = document.getElementById("announcement");
 
-let source = null; // of the events
-let streamed = null; // the document that the next changes apply to
-let seen = null; // the last document, its age, and when it came
-let failure = ""; // why there is no newer document
-let nextCheckMs = performance.now() + AGAIN_MS;
+let seen = null; // the last document, and when it came
+let failure = ""; // why there is no newer one
+let timer = 0; // of the next question
 let hasHistory = false;
 let isLoading = false; // the history
 let nextHistoryMs = 0;
 let historyPauseMs = PERIOD_MS; // after the next failure
 
 async function ask(path, timeoutMs = TIMEOUT_MS) {
-  const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
+  const answer = await fetch(path, { cache: "no-cache", signal: AbortSignal.timeout(timeoutMs) });
   if (answer.status === 401) throw new Error("the daemon asks for a password; reload the page");
   if (answer.status === 429) throw new Error("the daemon had too many wrong passwords from here");
   const body = await answer.json().catch(() => null);
@@ -40,20 +36,18 @@ async function ask(path, timeoutMs = TIMEOUT_MS) {
   return body;
 }
 
-/** Show a document. Only a whole one knows its age; after a patch, a new time in it means a new tick. */
-function receive(status, age) {
-  const last = seen;
-  seen = { status, age, atMs: performance.now(), unixTime: status.unix_time_seconds };
+function receive(status) {
+  const step = seen === null ? Infinity : status.unix_time_seconds - seen.status.unix_time_seconds;
+  seen = { status, atMs: performance.now() };
   failure = "";
   fields.fill(status);
   live.hidden = false;
-  if (last === null || Math.abs(seen.unixTime - last.unixTime) > GAP_S) hasHistory = false;
+  if (step < 0 || step > GAP_S) hasHistory = false; // somebody may have set the clock
   if (hasHistory) charts.append(status);
   else loadHistory();
-  showFreshness();
 }
 
-/** Without a history the charts wait; the events tell whether the daemon is there. */
+/** Without a history the charts wait; the status tells whether the daemon is there. */
 async function loadHistory() {
   if (isLoading || performance.now() < nextHistoryMs) return;
   isLoading = true;
@@ -69,67 +63,22 @@ async function loadHistory() {
   charts.load(history);
 }
 
-function patch(operations) {
+/** Ask once, and again a second later; nobody asks while nobody looks. */
+async function look() {
+  clearTimeout(timer);
+  timer = 0;
   try {
-    apply(streamed, operations);
-  } catch {
-    close(); // the next stream begins with a whole document
-    open();
-    return;
-  }
-  receive(streamed, streamed.unix_time_seconds === seen.unixTime ? ageS() : 0);
-}
-
-function open() {
-  if (source !== null || document.hidden) return;
-  source = new EventSource("api/v1/stream");
-  source.addEventListener("status", ({ data }) => {
-    streamed = JSON.parse(data);
-    receive(streamed, streamed.age_seconds);
-  });
-  source.addEventListener("changes", ({ data }) => patch(JSON.parse(data)));
-  source.addEventListener("error", () => performance.now() > nextCheckMs && check());
-}
-
-function close() {
-  source?.close();
-  source = null;
-}
-
-/** Without events, one request tells why: the browser hides the reason, and events that a proxy holds back look like none. */
-async function check() {
-  nextCheckMs = performance.now() + AGAIN_MS;
-  try {
-    const status = await ask("api/v1/status");
-    receive(status, status.age_seconds);
-    if (source?.readyState === EventSource.CLOSED) close();
-    open();
+    receive(await ask("api/v1/status"));
   } catch (error) {
-    fail(error);
+    failure = ["TypeError", "TimeoutError"].includes(error.name) ? "the daemon cannot be reached" : error.message;
   }
-}
-
-function fail(error) {
-  failure = error.name === "TypeError" || error.name === "TimeoutError" ? "the daemon cannot be reached" : error.message;
-  nextCheckMs = Math.min(nextCheckMs, performance.now() + PERIOD_MS);
   showFreshness();
-}
-
-function ageS() {
-  return seen.age + (performance.now() - seen.atMs) / 1000;
-}
-
-function look() {
-  if (document.hidden) return;
-  showFreshness();
-  const isQuiet = seen === null || performance.now() - seen.atMs > AGAIN_MS;
-  if ((failure || isQuiet) && performance.now() > nextCheckMs) check();
+  if (timer === 0 && !document.hidden) timer = setTimeout(look, PERIOD_MS);
 }
 
 function showFreshness() {
-  if (seen === null && !failure) return; // the first answer is on its way
-  const isOld = seen !== null && ageS() > STALE_S;
-  const state = failure ? "lost" : isOld ? "stale" : "live";
+  const ageS = seen === null ? 0 : seen.status.age_seconds + (performance.now() - seen.atMs) / 1000;
+  const state = failure ? "lost" : ageS > STALE_S ? "stale" : "live";
   document.body.dataset.freshness = state;
   const said = [];
   if (failure) said.push(failure);
@@ -137,7 +86,7 @@ function showFreshness() {
   if (state === "live") said.push("live");
   if (seen !== null) {
     const when = `as of ${clock(seen.status.unix_time_seconds)}`;
-    said.push(state === "live" ? when : `${when}, ${Math.round(ageS())} s ago`);
+    said.push(state === "live" ? when : `${when}, ${Math.round(ageS)} s ago`);
   }
   freshness.textContent = said.join(" · ");
   announce(state === "live" ? seen.status.verdict?.headline : said[0]);
@@ -151,7 +100,6 @@ function announce(headline) {
   }
 }
 
-document.addEventListener("visibilitychange", () => (document.hidden ? close() : open()));
-addEventListener("online", check);
-setInterval(look, PERIOD_MS);
-open();
+document.addEventListener("visibilitychange", () => (document.hidden ? clearTimeout(timer) : look()));
+addEventListener("online", look);
+look();

@@ -75,11 +75,9 @@ class Visit:
         return [" ".join(text.split()) for text in self.page.locator(selector).all_inner_texts()]
 
     def last_status(self) -> dict[str, Any]:
-        """Cut the page off, from the stream first, and return its last status document, which it goes on showing."""
+        """Cut the page off, and return its last status document, which it goes on showing."""
         answers: list[Any] = []
         self.page.on("response", lambda answer: answer.url.endswith("/api/v1/status") and answers.append(answer.json()))
-        # Without the stream, whose events playwright cannot read, the page asks for each document.
-        self.page.route("**/api/v1/stream", lambda route: route.abort())
         with self.page.expect_response("**/api/v1/status"):
             self.page.reload()
         self.page.context.set_offline(True)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from prometheus_client import CollectorRegistry
 
+from arpd.model.settings import HttpSettings
 from arpd.report.events import Event, EventKind, Severity
 from arpd.report.history import History
 from arpd.web.server import HttpServer
@@ -32,6 +32,7 @@ class Daemon:
     history: History = field(default_factory=History)
     late_s: float = 0.0
     server: HttpServer | None = None
+    up: ExitStack = field(default_factory=ExitStack)
 
     def __post_init__(self):
         for second in range(120):
@@ -43,16 +44,17 @@ class Daemon:
 
     def start(self, port=0, **options):
         self.server = HttpServer(
-            "127.0.0.1",
-            port,
+            HttpSettings(port=port, web_config=options.pop("web_config", "none")),
             snapshot=lambda: self.snapshot,
-            registry=CollectorRegistry(),
             history=self.history,
             clock=lambda: FINISHED_AT_S + self.late_s,
             **options,
         )
-        self.server.start()
+        self.up.enter_context(self.server.up())
         return self.server.url
+
+    def stop(self):
+        self.up.close()
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,7 @@ def daemon(sample_snapshot):
     running = Daemon(replace(sample_snapshot, events=events))
     running.start()
     yield running
-    running.server.stop()
+    running.stop()
 
 
 def test_the_document_stands_in_its_places(daemon, browser):
@@ -148,7 +150,7 @@ def test_it_says_when_the_daemon_is_gone_and_recovers_by_itself(daemon, browser)
             return seen.says("document.body.dataset.freshness") == freshness
 
         seen.await_live()
-        daemon.server.stop()
+        daemon.stop()
         eventually("the page misses its daemon", lambda: is_now("lost"))
         assert "the daemon cannot be reached · as of" in seen.page.locator("#freshness").inner_text()
         assert "grayscale" in seen.says("getComputedStyle(document.querySelector('main')).filter")
@@ -164,7 +166,7 @@ def test_it_says_when_the_daemon_is_gone_and_recovers_by_itself(daemon, browser)
 
 
 def test_nobody_asks_while_nobody_looks(daemon, browser):
-    """A hidden page neither listens nor reloads; visible again, it asks at once."""
+    """A hidden page asks for nothing; visible again, it asks at once."""
     hide = """(isHidden) => {
       Object.defineProperty(document, "hidden", { value: isHidden, configurable: true });
       document.dispatchEvent(new Event("visibilitychange"));
@@ -180,8 +182,47 @@ def test_nobody_asks_while_nobody_looks(daemon, browser):
         assert not any("line 4" in text for text in seen.texts(".notice"))
         assert len(seen.requests) <= asked + 1  # one may have been under way
         assert seen.requests.count(f"{daemon.server.url}/") == 1
-        with seen.page.expect_request("**/api/v1/stream"):
+        with seen.page.expect_request("**/api/v1/status"):
             seen.page.evaluate(hide, arg=False)
+
+
+def test_without_scripts_one_sentence_says_what_works(daemon, browser):
+    """The sentence names the command, and nothing else stands on the page."""
+    with visit(browser, daemon.server.url, java_script_enabled=False) as seen:
+        (said,) = seen.texts("noscript")
+        assert "arpd status" in said
+        assert not seen.page.locator("#live").is_visible()
+
+
+def test_a_clock_that_is_set_back_freezes_nothing(daemon, browser):
+    """After the robot's clock went back by seconds or an hour, charts and freshness go on."""
+    with visit(browser, daemon.server.url) as seen:
+        seen.await_charts()
+        times = "document.querySelector('#text-rate').textContent"
+        for back_s, capacity in ((3.0, 7.5e5), (3600.0, 8.75e5)):
+            link = replace(daemon.snapshot.link, capacity_bytes_per_second=capacity)
+            daemon.snapshot = replace(daemon.snapshot, link=link, unix_time_s=daemon.snapshot.unix_time_s - back_s)
+            daemon.history.note(replace(daemon.snapshot, finished_at_s=FINISHED_AT_S + capacity))
+            shown = f"{capacity * 8e-6:.2f} Mbit/s now"
+            eventually(f"the chart has {shown}", lambda shown=shown: shown in seen.says(times))
+            seen.await_live()
+        assert seen.complaints == []
+
+
+def test_a_hundred_topics_stay_readable(daemon, browser):
+    """A hundred topics are sorted by a column and found by words, and the table scrolls inside itself."""
+    many = tuple(publisher(f"/n{n % 7}", f"/t{n}", source_rate_hz=float(n)) for n in range(100))
+    daemon.snapshot = replace(daemon.snapshot, observation=replace(daemon.snapshot.observation, publishers=many))
+    with visit(browser, daemon.server.url) as seen:
+        seen.await_live()
+        eventually("all are there", lambda: len(seen.texts("#topics tbody th")) == 100)
+        assert seen.texts("#topics tbody th")[2].startswith("/t2 ")
+        seen.page.locator("th[data-sort=source_rate_hz] button").click()
+        assert seen.texts("#topics tbody th")[0].startswith("/t99 ")
+        seen.page.locator("#find").fill("n3 t9")
+        assert [text.split()[0] for text in seen.texts("#topics tbody th")] == ["/t94"]
+        assert seen.texts("#found") == ["1 of 100"]
+        assert seen.says("document.querySelector('.tall').clientHeight <= 0.9 * innerHeight")
 
 
 def test_no_width_overflows(daemon, browser):
@@ -254,14 +295,14 @@ def test_it_works_under_a_path_of_a_proxy(daemon, browser):
 
 
 def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
-    """With TLS and a user, the browser asks once; scripts and events are let in, too."""
+    """With TLS and a user, the browser asks once; scripts and documents are let in, too."""
     make_certificate(tmp_path, "server")
     web = tmp_path / "web.yaml"
     web.write_text(
         f"tls_server_config: {{cert_file: server.crt, key_file: server.key}}\nbasic_auth_users: {{robot: '{HASH}'}}\n"
     )
     guarded = Daemon(daemon.snapshot)
-    guarded.start(web_config=web)
+    guarded.start(web_config=str(web))
     try:
         credentials = {"username": "robot", "password": PASSWORD}
         with visit(browser, guarded.server.url, http_credentials=credentials) as seen:
@@ -269,4 +310,4 @@ def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):
             seen.await_charts()
             assert seen.complaints == []
     finally:
-        guarded.server.stop()
+        guarded.stop()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 
-from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_json
+from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_document
 from tests.sample_publishers import publisher
 
 
@@ -14,10 +13,6 @@ def at(snapshot, t_s, **observed):
     """Return the snapshot at another time, with other observations."""
     observation = replace(snapshot.observation, **observed)
     return replace(snapshot, finished_at_s=t_s, unix_time_s=1.7e9 + t_s, observation=observation)
-
-
-def history_document(samples, events):
-    return json.loads(history_json(samples, events))
 
 
 def columns(history, topic):

@@ -45,25 +45,39 @@ def test_what_is_vendored_is_what_its_readme_says():
     assert "MIT License" in (VENDORED / "LICENSE").read_text()
 
 
-def test_everything_the_page_names_is_served_and_kept(get):
-    """Scripts and styles lie under a path of their content, may be kept for good, and are found from the page."""
+def test_everything_the_page_names_is_served(get):
+    """Scripts and styles are found from the page, and a browser that has them is told that they have not changed."""
     page = get("/").text
     named = re.findall(r'(?:src|href)="(assets/[^"]+)"', page)
-    assert len(named) == 8
+    assert len(named) == 7
     for path in named:
         answer = get(f"/{path}")
         assert answer.status == 200
-        assert answer.headers["Cache-Control"] == "private, max-age=31536000, immutable"
+        assert answer.headers["Cache-Control"] == "no-cache"
         assert answer.headers["X-Content-Type-Options"] == "nosniff"
-    assert get("/api/v1/history").headers["Cache-Control"] == "no-store"
-    assert get("/assets/0123456789abcdef/page.js").status == 404
-    for other in ("/../page.html", "%00"):
-        assert get(f"/{named[0]}{other}").status == 404
+        assert get(f"/{path}", **{"If-None-Match": answer.headers["ETag"]}).status == 304
+    for other in ("nothing.js", "../handlers.py", "%2e%2e/handlers.py", "%00"):
+        assert get(f"/assets/{other}").status in (403, 404)
+
+
+def test_the_page_says_what_works_without_scripts(get):
+    """Without JavaScript one sentence names the command, and the policy forbids inline scripts."""
+    page = get("/")
+    assert "<code>arpd status</code>" in re.search(r"<noscript>(.*?)</noscript>", page.text, re.DOTALL)[1]
+    policy = page.headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+
+
+def test_the_page_advises_no_mode_of_the_relay(get):
+    """A robot with two ends has no use for relay.topics, so the page leaves advice to the doctor."""
+    page = get("/").text
+    assert "relay.topics" not in page
+    assert "<code>arpd doctor</code>" in page
 
 
 def test_the_page_names_nobody_else():
     """Page, styles and scripts contain no address of another host, and nothing inline."""
-    ours = [WEB / "page.html", *(WEB / "assets").glob("*.*")]
+    ours = (WEB / "assets").glob("*.*")
     for path in ours:
         text = path.read_text()
         assert not re.search(r"https?://|//[a-z]+\.", text), path
@@ -114,7 +128,7 @@ def test_every_place_of_the_page_is_in_the_document(sample_snapshot):
     told = Event(number=1, unix_time_s=1.7e9, kind=EventKind.PLAN, severity=Severity.INFO, text="a plan")
     document = status_document(replace(sample_snapshot, config_error="line 3", events=(told,)), now_s=1000.25)
     places = _Places()
-    places.feed((WEB / "page.html").read_text())
+    places.feed((WEB / "assets/page.html").read_text())
     assert len(places.paths) > 60
     for path in places.paths:
         value: Any = document

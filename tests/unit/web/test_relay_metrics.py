@@ -1,18 +1,23 @@
 """Metrics of the relay with two ends; the golden exposition has all of them once."""
 
+from dataclasses import replace
+
 import pytest
 
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.web.relay_metrics import relay_metrics
-from tests.sample_link import observation
+from arpd.web.metrics import SnapshotCollector
+from tests.golden.sample import make_snapshot
 
 
 def samples(**fields):
-    """Return the values by name and labels."""
+    """Return the values of the relay's metrics by name and labels."""
+    snapshot = make_snapshot()
+    snapshot = replace(snapshot, observation=replace(snapshot.observation, **{"relay": None, **fields}))
     return {
         (sample.name, *sample.labels.values()): sample.value
-        for family in relay_metrics(observation(1.0, **fields))
+        for family in SnapshotCollector(lambda: snapshot).collect()
         for sample in family.samples
+        if sample.name.startswith("arpd_relay_")
     }
 
 

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from prometheus_client import CollectorRegistry
 
 from arpd.model.errors import ConfigError
 from arpd.web.access import Access, exposure
@@ -188,57 +189,64 @@ def test_the_shipped_example_is_only_comments_and_right(certificates):
 def access(folder):
     path = folder / "web.yaml"
     path.write_text(f"{TLS}}}\nbasic_auth_users: {{alice: {HASH}}}")
-    clock, counts = Clock(), HttpCounts()
-    access = Access(path, counts=counts, clock=clock)
-    return SimpleNamespace(current=access.current, path=path, clock=clock, counts=counts)
-
-
-def reloads(access):
-    families = {family.name: family for family in access.counts.collect()}
-    return {sample.labels["result"]: sample.value for sample in families["arpd_http_config_reloads"].samples}
+    clock, registry = Clock(), CollectorRegistry()
+    access = Access(path, counts=HttpCounts(registry), clock=clock)
+    is_good = lambda: registry.get_sample_value("arpd_http_config_last_reload_successful")  # noqa: E731
+    return SimpleNamespace(access=access, follow=access.follow, path=path, clock=clock, is_good=is_good)
 
 
 def test_users_and_certificates_are_read_again_when_they_change(access, folder):
-    """A new user and a renewed certificate are in force for the next connection; unchanged files are not read."""
-    first = access.current()
-    assert access.current() is first
+    """A new user and a renewed certificate are in force at the next look; unchanged files are not read."""
+    assert not access.follow()
     access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{bob: {HASH}}}")
-    second = access.current()
+    assert access.follow()
+    second = access.access.protection
     assert set(second.users) == {b"bob"}
     for ending in ("crt", "key"):
         (folder / f"other.{ending}").rename(folder / f"server.{ending}")
-    third = access.current()
-    assert third.tls is not second.tls
-    assert access.current() is third
-    assert reloads(access) == {"failed": 0, "ok": 2}
+    assert access.follow()
+    assert access.access.protection.tls is not second.tls
+    assert not access.follow()
 
 
 def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
-    """A broken file is logged and counted once for any number of connections; the next good file is in force."""
-    first = access.current()
+    """A broken file is logged once and shows in the metrics; the next good file is in force."""
+    first = access.access.protection
     access.path.write_text("basic_auth_users: {alice: x}")
-    assert [access.current() for _ in range(3)] == [first] * 3
-    access.clock.now_s = 100.0
-    assert access.current() is first
-    assert reloads(access) == {"failed": 1, "ok": 0}
+    for _ in range(3):
+        access.clock.now_s += 100.0
+        assert not access.follow()
+    assert access.access.protection is first
+    assert access.is_good() == 0
     assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
     access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{carol: {HASH}}}")
-    assert set(access.current().users) == {b"carol"}
-    assert reloads(access) == {"failed": 1, "ok": 1}
+    assert access.follow()
+    assert set(access.access.protection.users) == {b"carol"}
+    assert access.is_good() == 1
 
 
 @pytest.mark.parametrize("text", ["http_server_config: {}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""])
 def test_no_change_of_the_file_opens_the_port(access, text):
     """TLS and users stay until a restart, so that an editor that writes a file in two steps cannot open the robot."""
-    first = access.current()
     access.path.write_text(text)
-    assert access.current() is first
-    assert reloads(access)["failed"] == 1
+    assert not access.follow()
+    assert access.is_good() == 0
+
+
+def test_the_names_of_client_certificates_cannot_be_removed(access):
+    """Without the list, every certificate of the CA would be let in."""
+    client = "client_auth_type: RequireAndVerifyClientCert, client_ca_file: other.crt"
+    users = f"basic_auth_users: {{alice: {HASH}}}"
+    access.path.write_text(f"{TLS}, {client}, client_allowed_sans: [a]}}\n{users}")
+    assert access.follow()
+    access.path.write_text(f"{TLS}, {client}}}\n{users}")
+    assert not access.follow()
+    assert access.access.protection.allowed_sans == {"a"}
 
 
 def test_what_is_open_to_the_network_is_said(access):
     """Beyond loopback there is a risk without TLS, and without users or client certificates."""
-    both = access.current()
+    both = access.access.protection
     users = Protection(users=both.users)
     assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
     assert "anyone" in exposure("0.0.0.0", Protection())

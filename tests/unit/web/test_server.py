@@ -1,39 +1,37 @@
-"""Metrics, status document and the HTTP server, over loopback."""
+"""Metrics, documents and the HTTP server, over loopback."""
 
 from __future__ import annotations
 
 import json
+import socket
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from prometheus_client import CollectorRegistry
-from prometheus_client.openmetrics.parser import text_string_to_metric_families
+from prometheus_client.parser import text_string_to_metric_families
 
+from arpd.model.settings import HttpSettings
 from arpd.report.status import status_document
-from arpd.web.answers import HEALTHY_S
+from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
-from arpd.web.server import HttpAddressError, HttpServer
+from arpd.web.server import HttpServer
 from tests.unit.web_world import running
+from tests.waiting import eventually
 
 NOW_S = 1000.25
 
 
 @pytest.fixture
 def daemon(sample_snapshot):
-    """Return snapshot, readiness and clock, as the test sets them."""
-    return SimpleNamespace(snapshot=sample_snapshot, is_ready=True, now_s=NOW_S)
+    """Return snapshot and clock, as the test sets them."""
+    return SimpleNamespace(snapshot=sample_snapshot, now_s=NOW_S)
 
 
 @pytest.fixture
 def world(daemon):
-    collector = SnapshotCollector(lambda: daemon.snapshot, clock=lambda: daemon.now_s)
-    with running(
-        snapshot=lambda: daemon.snapshot,
-        collector=collector,
-        is_ready=lambda: daemon.is_ready,
-        clock=lambda: daemon.now_s,
-    ) as world:
+    with running(snapshot=lambda: daemon.snapshot, clock=lambda: daemon.now_s) as world:
         yield world
 
 
@@ -69,15 +67,14 @@ def test_what_is_not_known_has_no_series(sample_snapshot):
     without = observe(replace(sample_snapshot, link=link), radio_bytes_per_second=None, counters=counters)
     absent = {
         "arpd_link_radio_bytes_per_second",
-        "arpd_interface_backlog_bytes",
         "arpd_link_loss_ratio",
         "arpd_link_return_delay_seconds",
     }
     assert absent <= set(families(sample_snapshot))
     assert not absent & set(families(without))
     gone = observe(sample_snapshot, counters=None)
-    assert value(gone, "arpd_interface_up", interface="wlan0") == 0
-    assert "arpd_interface_receive_bytes" not in families(gone)
+    assert value(gone, "arpd_link_interface_state", interface="wlan0", state="gone") == 1
+    assert "arpd_interface_transmit_bytes" not in families(gone)
     assert value(observe(sample_snapshot, peer_ages_s={}), "arpd_peers") == 0
 
 
@@ -109,33 +106,26 @@ def test_the_status_document_says_infinite_as_null(sample_snapshot):
 # -- the server
 
 
-def test_metrics_are_served_in_the_format_asked_for(world):
-    """Plain text by default, OpenMetrics when the scraper asks for it."""
-    plain = world.get("/metrics?x=1")
-    assert plain.headers["Content-Type"].startswith("text/plain; version=0.0.4")
-    assert "\narpd_gate_ratio 0.75\n" in plain.text
-    negotiated = world.get("/metrics", Accept="application/openmetrics-text; version=1.0.0")
-    assert negotiated.headers["Content-Type"].startswith("application/openmetrics-text; version=1.0.0")
-    assert "arpd_gate_ratio" in {family.name for family in text_string_to_metric_families(negotiated.text)}
+def test_metrics_are_text_that_prometheus_reads(world):
+    """Every family is there once, those of the process and of the server too."""
+    answer = world.get("/metrics?x=1")
+    assert answer.headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
+    names = [family.name for family in text_string_to_metric_families(answer.text)]
+    assert len(names) == len(set(names))
+    assert {"arpd_gate_ratio", "arpd_http_requests", "process_cpu_seconds"} <= set(names)
 
 
 def test_nothing_is_promised_before_the_first_tick(world, daemon):
     """Before the first snapshot: healthy, not ready, status 503, and a page all the same."""
     daemon.snapshot = None
-    paths = ("/-/healthy", "/-/ready", "/api/v1/status", "/")
-    assert [world.get(path).status for path in paths] == [200, 503, 503, 200]
-
-
-def test_ready_needs_a_daemon_that_governs(world, daemon):
-    """Ready follows is_ready once a snapshot exists."""
-    assert world.get("/-/ready").status == 200
-    daemon.is_ready = False
-    assert world.get("/-/ready").status == 503
+    paths = ("/-/healthy", "/-/ready", "/api/v1/status", "/", "/api/v1/history")
+    assert [world.get(path).status for path in paths] == [200, 503, 503, 200, 200]
 
 
 @pytest.mark.parametrize("has_snapshot", [False, True])
 def test_a_hung_tick_is_unhealthy(world, daemon, has_snapshot):
     """When no tick has finished within the limit, health fails with the time."""
+    assert world.get("/-/ready").status == 200
     if not has_snapshot:
         daemon.snapshot = None
     daemon.now_s += HEALTHY_S
@@ -144,38 +134,70 @@ def test_a_hung_tick_is_unhealthy(world, daemon, has_snapshot):
     assert "10 s" in answer.text
 
 
-def test_without_scripts_the_page_has_the_verdict_as_text(world, daemon):
-    """Names in the sentence never become markup or a place of the page, and the policy forbids inline scripts."""
-    name = "<script>{{assets}}</script>"
-    daemon.snapshot = observe(replace(daemon.snapshot, interface=name), counters=None)
-    page = world.get("/")
-    assert "&lt;script&gt;{{assets}}&lt;/script&gt; is gone" in page.text
-    assert 'href="api/v1/status"' in page.text
-    assert page.headers["Content-Security-Policy"].startswith(
-        "default-src 'none'; script-src 'self'; style-src 'self';"
-    )
+def test_who_asks_at_the_same_time_shares_one_document(sample_snapshot):
+    """Twelve requests that wait for a tick are answered by one document, and no piece of it is made in the tick."""
+    asked, resting = [], threading.Event()
+
+    def snapshot():
+        asked.append(resting.is_set())
+        return sample_snapshot
+
+    with running(snapshot=snapshot, resting=resting) as world:
+        answers = []
+        threads = [threading.Thread(target=lambda: answers.append(world.get("/api/v1/status").text)) for _ in range(12)]
+        for thread in threads:
+            thread.start()
+        eventually("the server has begun", lambda: asked)
+        resting.set()
+        for thread in threads:
+            thread.join()
+        assert len(answers) == 12
+        assert len(set(answers)) < 12
+        assert len(asked) < 12
+
+
+def test_a_tick_that_hangs_does_not_keep_the_metrics_back(sample_snapshot):
+    """The server waits for a running tick for a second in all, not for good."""
+    with running(snapshot=lambda: sample_snapshot, resting=threading.Event()) as world:
+        assert "arpd_gate_ratio 0.75" in world.get("/metrics").text
+
+
+def test_who_has_the_answer_already_is_told_so(world):
+    """A request with the ETag of an answer that has not changed gets 304 and no body."""
+    first = world.get("/api/v1/history")
+    again = world.get("/api/v1/history", **{"If-None-Match": first.headers["ETag"]})
+    assert (again.status, again.raw) == (304, b"")
 
 
 def test_a_fault_while_answering_leaks_nothing_and_is_logged(caplog):
     """An answer that raises becomes a bare 500, and the traceback goes to the log."""
-
-    class Broken:
-        def describe(self):
-            return []  # so that registering it collects nothing
-
-        def collect(self):
-            raise RuntimeError("secret")
-
-    with running(collector=Broken()) as world:
+    broken = SimpleNamespace(finished_at_s=NOW_S)
+    with running(snapshot=lambda: broken, clock=lambda: NOW_S) as world:
         answer = world.get("/metrics")
         assert (answer.status, answer.text) == (500, "500 Internal Server Error\n")
         assert world.get().status == 200
-    assert "secret" in caplog.text
+    assert "AttributeError" in caplog.text
+
+
+def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
+    """The daemon goes on without metrics, logs that once, and serves as soon as the port is free."""
+    monkeypatch.setattr("arpd.web.server._LOOK_S", 0.02)
+    caplog.set_level("INFO", "arpd.web.server")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        server = HttpServer(HttpSettings(port=port), snapshot=lambda: None)
+        with server.up():
+            assert f"cannot listen on 127.0.0.1:{port}" in server.fault
+            other.close()
+            eventually("it serves", lambda: not server.fault)
+            assert server.port == port
+    assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
 
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
-def test_an_address_of_another_machine_is_refused_clearly(host):
-    """A host of another machine gives our error, not the library's."""
-    server = HttpServer(host, 0, snapshot=lambda: None, registry=CollectorRegistry())
-    with pytest.raises(HttpAddressError, match=r"http\.host"):
-        server.start()
+def test_an_address_of_another_machine_is_a_clear_fault(host, caplog):
+    """The log says which keys to change."""
+    server = HttpServer(HttpSettings(host=host, port=0), snapshot=lambda: None)
+    with server.up():
+        assert f"cannot listen on {host}" in server.fault
+    assert "http.host" in caplog.text

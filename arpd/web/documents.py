@@ -1,0 +1,139 @@
+"""Makes each document once for all who ask at the same time: in one thread, and between ticks."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from prometheus_client import generate_latest
+
+from arpd.report.history import history_head, history_topics
+from arpd.report.status import API_VERSION, status_head, status_topics
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Callable, Iterable, Iterator
+
+    from prometheus_client import CollectorRegistry
+    from prometheus_client.core import Metric
+
+    from arpd.report.history import History
+    from arpd.report.snapshot import Snapshot
+
+_JSON = "application/json"
+_METRICS = "text/plain; version=0.0.4; charset=utf-8"
+_PATIENCE_S = 1.0
+_REST = 3.0  # times the work of a document, the thread rests before the next
+
+
+class Document(NamedTuple):
+    """A body and what it is; `is_there` is False before the first tick."""
+
+    content_type: str
+    body: bytes
+    is_there: bool = True
+
+
+class Documents:
+    """The documents of the daemon.
+
+    Python runs one thread at a time, so whoever makes a large document slows the tick down. One thread makes them all;
+    those who ask meanwhile get what is in the making. It works in pieces of milliseconds and waits between two of them
+    while a tick runs: for a second in all, because metrics matter most when ticks hang.
+
+    Parameters
+    ----------
+    snapshot : returns the last snapshot, None before the first tick finished
+    history : the last ten minutes
+    registry : metrics to expose
+    resting : set while no tick runs
+    clock : monotonic clock of the snapshots (s)
+    """
+
+    def __init__(
+        self,
+        *,
+        snapshot: Callable[[], Snapshot | None],
+        history: History,
+        registry: CollectorRegistry,
+        resting: threading.Event,
+        clock: Callable[[], float],
+    ) -> None:
+        self._snapshot = snapshot
+        self._history = history
+        self._registry = registry
+        self._resting = resting
+        self._clock = clock
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="arpd-http-document")
+        self._free_at_s = 0.0
+        self._in_the_making: dict[str, asyncio.Future[Document]] = {}
+
+    async def get(self, name: str) -> Document:
+        """Return ``metrics``, ``status`` or ``history``."""
+        if (made := self._in_the_making.get(name)) is None:
+            make = {"metrics": self._metrics, "status": self._status, "history": self._past}[name]
+            made = asyncio.get_running_loop().run_in_executor(self._thread, self._make, make)
+            self._in_the_making[name] = made
+            made.add_done_callback(lambda _: self._in_the_making.pop(name))
+        return await asyncio.shield(made)
+
+    def close(self) -> None:
+        """Begin no other document."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _make(self, pieces_of: Callable[[], tuple[str, Iterable[bytes]] | None]) -> Document:
+        time.sleep(max(0.0, self._free_at_s - time.monotonic()))
+        began_s = time.thread_time()
+        found = pieces_of()
+        if found is None:
+            text = json.dumps({"api_version": API_VERSION, "ready": False})
+            return Document(_JSON, f"{text}\n".encode(), is_there=False)
+        content_type, pieces = found
+        body = b"".join(self._between_ticks(pieces))
+        self._free_at_s = time.monotonic() + _REST * (time.thread_time() - began_s)
+        return Document(content_type, body)
+
+    def _between_ticks(self, pieces: Iterable[bytes]) -> Iterator[bytes]:
+        left_s = _PATIENCE_S
+        for piece in pieces:
+            yield piece
+            if left_s > 0 and not self._resting.is_set():
+                began_s = time.monotonic()
+                self._resting.wait(left_s)
+                left_s -= time.monotonic() - began_s
+
+    def _metrics(self) -> tuple[str, Iterable[bytes]]:
+        return _METRICS, (generate_latest(_Alone(family)) for family in self._registry.collect())
+
+    def _status(self) -> tuple[str, Iterable[bytes]] | None:
+        snapshot = self._snapshot()
+        if snapshot is None:
+            return None
+        return _JSON, _encoded(status_head(snapshot, now_s=self._clock()), status_topics(snapshot))
+
+    def _past(self) -> tuple[str, Iterable[bytes]]:
+        samples, snapshot = self._history.samples, self._snapshot()
+        events = () if snapshot is None else snapshot.events
+        return _JSON, _encoded(history_head(samples, events), history_topics(samples))
+
+
+class _Alone:
+    """A registry with one family, so that the library's encoder makes the text of that one."""
+
+    def __init__(self, family: Metric) -> None:
+        self._family = family
+
+    def collect(self) -> tuple[Metric]:
+        """Return the family."""
+        return (self._family,)
+
+
+def _encoded(head: dict[str, Any], topics: Iterable[dict[str, Any]]) -> Iterator[bytes]:
+    """Yield a document of which the topics come last, one by one."""
+    yield f'{json.dumps(head, allow_nan=False)[:-1]}, "topics": ['.encode()
+    for number, topic in enumerate(topics):
+        yield f"{', ' if number else ''}{json.dumps(topic, allow_nan=False)}".encode()
+    yield b"]}\n"
