@@ -49,9 +49,8 @@ examples:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from arpd.host.config.domain import local_domain
-    from arpd.host.config.load import load_settings
-    from arpd.host.config.schema import flatten
+    from arpd.host.config.keys import flatten
+    from arpd.host.config.load import load_settings, local_domain
     from arpd.web.web_config import check_web_config
 
     interfaces = None if options.far or options.no_interfaces else _list_interfaces
@@ -77,11 +76,10 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _warnings(settings: Settings, *, is_here: bool) -> list[str]:
-    from arpd.host.config.advice import floor_warnings, warnings
+    from arpd.host.config.advice import warnings
     from arpd.host.interface import MemoryReader
 
-    of_host = warnings(settings, host_bytes=MemoryReader().read().total_bytes) if is_here else []
-    return of_host + floor_warnings(settings)
+    return list(warnings(settings, host_bytes=MemoryReader().read().total_bytes if is_here else 0))
 
 
 def _list_interfaces() -> list[str] | None:
@@ -94,7 +92,7 @@ def _list_interfaces() -> list[str] | None:
 
 def _summary(settings: Settings, *, is_far: bool) -> str:
     """Say what the file changes from the defaults, and what it means for the relay on this computer."""
-    from arpd.host.config.load import describe_change
+    from arpd.host.config.keys import describe_change
 
     relay = settings.relay
     changes = describe_change(Settings(), settings)

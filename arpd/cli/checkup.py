@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 from arpd import __version__
 from arpd.cli.options import host_of, is_here
 from arpd.host import discovery, kernel, wireless
-from arpd.host.config.domain import local_domain
-from arpd.host.config.load import load_settings
+from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import index_of, likeliest_interface, list_interfaces
 from arpd.host.services import service_states
 from arpd.model.errors import ArpdError, ConfigError, UsageError

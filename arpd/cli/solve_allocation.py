@@ -111,8 +111,12 @@ def _offered(settings: Settings, options: argparse.Namespace) -> _Offered:
     traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
     if not traffic:
         raise _nothing_to_plan(options.config, options.status)
-    relayed = (settings.relay.link_prefix + name for name in settings.relay.topics)
-    named = {*settings.topics, *relayed, *(publisher.topic for publisher in publishers)}
+    relayed = (settings.relay.link_prefix + name for name in settings.relay.topic_names)
+    named = {
+        *(topic.name for topic in settings.topics if "*" not in topic.name),
+        *relayed,
+        *(publisher.topic for publisher in publishers),
+    }
     sensing = status.sensing_topics if graph.sensing_topics is None else graph.sensing_topics
     actuation = status.actuation_topics if graph.actuation_topics is None else graph.actuation_topics
     return _Offered(

@@ -100,7 +100,7 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 
 def _refuse_nonsense(options: argparse.Namespace) -> None:
-    from arpd.host.config.kinds import Address
+    from arpd.model.kinds import address
 
     for name in ("robot", "base"):
         given = getattr(options, name)
@@ -109,7 +109,7 @@ def _refuse_nonsense(options: argparse.Namespace) -> None:
         if not options.suggest:
             raise UsageError(f"--{name} goes into a configuration; give --suggest, too")
         try:
-            Address().read(given)
+            address().read(given)
         except ValueError as error:
             raise UsageError(f"--{name}: {error}") from None
 
@@ -177,8 +177,8 @@ def _document(listed: TopicList) -> dict[str, Any]:
 
 def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
     """Return where the link is: as given, as configured, or as this host's interfaces tell."""
-    from arpd.host.config.domain import local_domain
     from arpd.host.config.first_file import LinkChoice
+    from arpd.host.config.load import local_domain
     from arpd.host.interface import ipv4_addresses, likeliest_interface
 
     relay, here = settings.relay, local_domain()

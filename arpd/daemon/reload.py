@@ -6,7 +6,8 @@ import logging
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from arpd.host.config.load import describe_change, in_force, restart_only_changes
+from arpd.host.config.keys import describe_change, restart_only_changes
+from arpd.host.config.load import in_force
 from arpd.model.errors import ConfigError
 
 if TYPE_CHECKING:

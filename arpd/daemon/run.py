@@ -12,8 +12,7 @@ from arpd.daemon.gc import Garbage
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
-from arpd.host.config.domain import local_domain
-from arpd.host.config.load import load_settings
+from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop

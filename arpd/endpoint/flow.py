@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.meters import DeadlineCount
 from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
-from arpd.model.endpoints import FlowState, SwapResult, WithheldCause, Writer, WriterQos
+from arpd.model.endpoints import FlowState, Overflow, SwapResult, WithheldCause, Writer, WriterQos
 from arpd.model.plan import TopicPlan
-from arpd.model.settings import Overflow
 
 if TYPE_CHECKING:
     from collections.abc import Callable

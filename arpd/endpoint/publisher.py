@@ -16,6 +16,7 @@ from arpd.endpoint.writer import RosWriter, overridden, serialized, swap_failure
 from arpd.model.endpoints import (
     NO_REFUSAL,
     Direction,
+    Overflow,
     PublisherState,
     Refusal,
     RefusalReason,
@@ -23,7 +24,6 @@ from arpd.model.endpoints import (
     WriterQos,
 )
 from arpd.model.plan import keeps_its_readers
-from arpd.model.settings import Overflow
 from arpd.ros.events import InvalidHandle
 from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.ros.rmw import current_rmw, lasting_refusal

@@ -23,6 +23,13 @@ class Direction(StrEnum):
     LOCAL = "local"  # does not cross the link (no reader on the other host)
 
 
+class Overflow(StrEnum):
+    """Treatment of samples above the paced rate."""
+
+    LATEST = "latest"  # keep the newest sample only
+    QUEUE = "queue"  # FIFO of at most depth samples; withhold the oldest
+
+
 class RefusalReason(StrEnum):
     """Reason why requested QoS is not in force; words for people stand beside it.
 

@@ -1,12 +1,50 @@
-"""Settings of the operator, as frozen values; `arpd.host.config` builds them from YAML."""
+"""Settings of the operator: every key of arpd.yaml with its kind, its default and its meaning.
+
+Programs make them from base units, without checks. `arpd.host.config` reads them from YAML: pydantic finds the kind
+of each value in its annotation. A key is called like its attribute, without the unit: ``hold: 2s`` is ``hold_s``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from typing import Annotated, Any, ClassVar
+
+from arpd.model.endpoints import Overflow
+from arpd.model.kinds import (
+    NONE,
+    address,
+    choice,
+    count,
+    duration,
+    listed,
+    name_pattern,
+    namespace_name,
+    number,
+    rate,
+    size,
+    text,
+    topic_name,
+)
+from arpd.model.names import compile_patterns
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
+_PATTERNS = listed(name_pattern(), "a list of names and patterns such as [/scan, /camera/**]")
+_MOST_KNOWN = 10_000  # names on the network may come and go for ever
+
+
+def key_of(attribute: str) -> str:
+    """Return the key that an attribute has in the file."""
+    return re.sub("_(bytes_per_second|bytes|s)$", "", attribute)
+
+
+class Section:
+    """A mapping of the file: each attribute is a value with its kind, a further section or a tuple of sections."""
+
+    __slots__ = ()
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "alias_generator": key_of}
 
 
 class OnStop(StrEnum):
@@ -38,15 +76,8 @@ class Backend(StrEnum):
     CVXPY = "cvxpy"
 
 
-class Overflow(StrEnum):
-    """Treatment of samples above the paced rate."""
-
-    LATEST = "latest"  # keep the newest sample only
-    QUEUE = "queue"  # FIFO of at most depth samples; withhold the oldest
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LinkSettings:
+class LinkSettings(Section):
     """Settings of the link.
 
     Parameters
@@ -58,43 +89,17 @@ class LinkSettings:
     packet_overhead_s : pinned t_ovh, link time of a packet beyond its bytes; None = estimate (s)
     """
 
-    interface: str = AUTO
-    capacity_bytes_per_second: float | None = None
-    initial_capacity_bytes_per_second: float = 2.5e6
-    headroom: float = 0.85
-    packet_overhead_s: float | None = None
+    interface: Annotated[str, text(r"[!-.0-9;-~]{1,15}", "an interface name", "auto or an interface of this host")] = (
+        AUTO
+    )
+    capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit", word=AUTO)] = None
+    initial_capacity_bytes_per_second: Annotated[float, rate("8kbit", "100gbit")] = 2.5e6
+    headroom: Annotated[float, number(0.05, 1)] = 0.85
+    packet_overhead_s: Annotated[float | None, duration("0s", "100ms", word=AUTO)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TopicSettings:
-    """Preferences for one topic.
-
-    Parameters
-    ----------
-    weight : share of link time relative to other topics
-    min_rate_hz : floor (Hz)
-    is_floor_inherited : whether the floor is that of ``defaults``, which holds for small samples only
-    max_rate_hz : desired rate (Hz); None = the rate at which the application publishes
-    min_depth, max_depth : bounds of DEPTH (samples)
-    latency_budget_s : cap on the time that a full history stands for (s); more is bufferbloat after an outage;
-        None = no cap
-    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured. The daemon always measures
-    source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
-    """
-
-    weight: float = 1.0
-    min_rate_hz: float = 1.0
-    max_rate_hz: float | None = None
-    min_depth: int = 1
-    max_depth: int = 5000
-    latency_budget_s: float | None = 1.0
-    payload_bytes: float | None = None
-    source_rate_hz: float | None = None
-    is_floor_inherited: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ProgramSettings:
+class ProgramSettings(Section):
     """Settings of the program.
 
     Parameters
@@ -106,15 +111,15 @@ class ProgramSettings:
     memory_reserve_bytes : memory that histories must leave free on the host (bytes)
     """
 
-    policy: Policy = Policy.PER_TOPIC
-    backend: Backend = Backend.OSQP
-    deadline_slack: float = 1.25
-    memory_budget_bytes: float = 64 * 2**20
-    memory_reserve_bytes: float = 128 * 2**20
+    policy: Annotated[Policy, choice(Policy)] = Policy.PER_TOPIC
+    backend: Annotated[Backend, choice(Backend)] = Backend.OSQP
+    deadline_slack: Annotated[float, number(1, 100)] = 1.25
+    memory_budget_bytes: Annotated[float, size("64KiB", "1024GiB")] = 64 * 2**20
+    memory_reserve_bytes: Annotated[float, size("0B", "1024GiB")] = 128 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GovernorSettings:
+class GovernorSettings(Section):
     """Thresholds that turn a measured change into a QoS swap (docs/design.md, The governor).
 
     Parameters
@@ -124,32 +129,115 @@ class GovernorSettings:
     debounce_s : quiet time after topics come or go, before a new plan (s)
     """
 
-    hold_s: float = 2.0
-    dwell_s: float = 10.0
-    debounce_s: float = 1.0
+    hold_s: Annotated[float, duration("0s", "1h")] = 2.0
+    dwell_s: Annotated[float, duration("0s", "1h")] = 10.0
+    debounce_s: Annotated[float, duration("0s", "1h")] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HttpSettings:
+class HttpSettings(Section):
     """Settings of the server of metrics, health and status.
 
     Parameters
     ----------
     host, port : address to listen on
-    web_config : file with TLS and users in the format of Prometheus exporters, or ``none``
+    web_config : file with TLS and users in the format of Prometheus exporters, None = no protection
     """
 
-    host: str = "127.0.0.1"
-    port: int = 9464
-    web_config: str = "none"
+    host: Annotated[str, text(r"[A-Za-z0-9.:_-]{1,253}", "an address", "an IP address or a host name")] = "127.0.0.1"
+    port: Annotated[int, count(0, 65535)] = 9464
+    web_config: Annotated[str | None, text(r"[^\0\r\n]{1,4096}", "a path", "a path", word=NONE)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TopicGroup:
-    """Topics whose samples with one header stamp are thinned together; ``name`` stands for them in the program."""
+class GraphSettings(Section):
+    """Pinned topic counts; None = count the live graph."""
 
-    name: str
-    topics: tuple[str, ...]
+    sensing_topics: Annotated[int | None, count(0, 10_000, word=AUTO)] = None
+    actuation_topics: Annotated[int | None, count(0, 10_000, word=AUTO)] = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Preferences(Section):
+    """Preferences for a topic.
+
+    Parameters
+    ----------
+    weight : share of link time relative to other topics
+    min_rate_hz : floor (Hz); None = that of ``defaults``, which holds for small samples only
+    max_rate_hz : desired rate (Hz); None = the rate at which the application publishes
+    min_depth, max_depth : bounds of DEPTH (samples)
+    latency_budget_s : cap on the time that a full history stands for (s); more is bufferbloat after an outage;
+        None = no cap
+    """
+
+    weight: Annotated[float, number(0.001, 1000)] = 1.0
+    min_rate_hz: Annotated[float | None, number(0, 100_000)] = None
+    max_rate_hz: Annotated[float | None, number(0.001, 100_000, word="source")] = None
+    min_depth: Annotated[int, count(1, 5000)] = 1
+    max_depth: Annotated[int, count(1, 5000)] = 5000
+    latency_budget_s: Annotated[float | None, duration("1ms", "1h", word=NONE)] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DefaultPreferences(Preferences):
+    """Preferences for topics without settings of their own."""
+
+    min_rate_hz: Annotated[float, number(0, 100_000)] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicSettings(Preferences):
+    """Preferences for one topic, or for all that a pattern matches.
+
+    Parameters
+    ----------
+    name : topic, or pattern of names
+    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured. The daemon always measures
+    source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
+    """
+
+    name: Annotated[str, name_pattern()]
+    payload_bytes: Annotated[float | None, size("1B", "1GB", word="measured")] = None
+    source_rate_hz: Annotated[float | None, number(0.001, 100_000, word="measured")] = None
+
+    @property
+    def is_pattern(self) -> bool:
+        """True if it may hold for several topics."""
+        return "*" in self.name
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicGroup(Section):
+    """Topics whose samples with one header stamp are thinned together.
+
+    Parameters
+    ----------
+    name : stands for them in the program; the first of them where none is given
+    """
+
+    name: Annotated[str, topic_name()] = ""
+    topics: Annotated[tuple[str, ...], listed(topic_name(), "a list of names such as [/left/image, /right/image]")]
+
+    def __post_init__(self) -> None:
+        """Give it its name."""
+        if not self.name and self.topics:
+            object.__setattr__(self, "name", self.topics[0])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayTopic(Section):
+    """Topic that the relay carries.
+
+    Parameters
+    ----------
+    overflow : treatment of samples above the paced rate
+    depth : KEEP_LAST depth before the first plan, None = one that suits the samples
+    """
+
+    name: Annotated[str, topic_name()]
+    overflow: Annotated[Overflow, choice(Overflow)] = Overflow.LATEST
+    depth: Annotated[int | None, count(1, 5000)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -161,40 +249,51 @@ class LinkDomain:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RelaySettings:
+class RelaySettings(Section):
     """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends.
 
     Parameters
     ----------
-    topics : topics to carry under the prefix, by name; with two ends, topics with an overflow or a depth of their own
-    prefix : with one end, the carried topic is ``prefix + name``
-    overflow : treatment of samples above the paced rate, by topic; ``latest`` when not named
-    depths : KEEP_LAST depth before the first plan, by topic; 10 when not named
     link_domain : ROS domain in which only arpd's processes live; None = one end, with the prefix
     robot, base : address of each end on the link; None = unknown, then the other one must be known
     namespace : stands before all of the robot's names on the base computer; empty = none
     to_base, to_robot : patterns of the topics that may cross in each direction
     deny : patterns of names that cross in neither
     services, actions : patterns of those that may be called across the link, from either side
-    groups : topics thinned together
     call_timeout_s : time after which a service call without an answer has failed (s)
+    groups : topics thinned together
+    prefix : with one end, the carried topic is ``prefix + name``
+    topics : topics to carry under the prefix; with two ends, topics with an overflow or a depth of their own
     """
 
-    topics: tuple[str, ...] = ()
-    prefix: str = "/link"
-    overflow: dict[str, Overflow] = field(default_factory=dict)
-    depths: dict[str, int] = field(default_factory=dict)
-    link_domain: int | None = None
-    robot: str | None = None
-    base: str | None = None
-    namespace: str = ""
-    to_base: tuple[str, ...] = ("/**",)
-    to_robot: tuple[str, ...] = ("/**",)
-    deny: tuple[str, ...] = ()
-    services: tuple[str, ...] = ()
-    actions: tuple[str, ...] = ()
+    link_domain: Annotated[int | None, count(0, 232, word=NONE)] = None
+    robot: Annotated[str | None, address()] = None
+    base: Annotated[str | None, address()] = None
+    namespace: Annotated[str, namespace_name()] = ""
+    to_base: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
+    to_robot: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
+    deny: Annotated[tuple[str, ...], _PATTERNS] = ()
+    services: Annotated[tuple[str, ...], _PATTERNS] = ()
+    actions: Annotated[tuple[str, ...], _PATTERNS] = ()
+    call_timeout_s: Annotated[float, duration("100ms", "1h")] = 10.0
     groups: tuple[TopicGroup, ...] = ()
-    call_timeout_s: float = 10.0
+    prefix: Annotated[str, topic_name()] = "/link"
+    topics: tuple[RelayTopic, ...] = ()
+
+    @property
+    def topic_names(self) -> tuple[str, ...]:
+        """Names of ``topics``."""
+        return tuple(topic.name for topic in self.topics)
+
+    @property
+    def queued(self) -> frozenset[str]:
+        """Names of the topics that lose no sample to pacing while their history holds it."""
+        return frozenset(topic.name for topic in self.topics if topic.overflow is Overflow.QUEUE)
+
+    @property
+    def depths(self) -> dict[str, int]:
+        """Depths that the operator has given, by topic."""
+        return {topic.name: topic.depth for topic in self.topics if topic.depth is not None}
 
     @property
     def link_prefix(self) -> str:
@@ -214,19 +313,12 @@ class RelaySettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GraphSettings:
-    """Pinned topic counts; None = count the live graph."""
-
-    sensing_topics: int | None = None
-    actuation_topics: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Settings:
-    """Whole configuration; ``topics`` maps a topic name to its preferences, ``default_topic`` serves the rest.
+class Settings(Section):
+    """Whole configuration.
 
     Parameters
     ----------
+    defaults : preferences for topics without an entry in ``topics``
     on_lost, lost_after_s : behaviour of publishers that have not heard the daemon for that long (s)
     """
 
@@ -234,21 +326,44 @@ class Settings:
     program: ProgramSettings = field(default_factory=ProgramSettings)
     governor: GovernorSettings = field(default_factory=GovernorSettings)
     http: HttpSettings = field(default_factory=HttpSettings)
-    relay: RelaySettings = field(default_factory=RelaySettings)
     graph: GraphSettings = field(default_factory=GraphSettings)
-    default_topic: TopicSettings = field(default_factory=lambda: TopicSettings(is_floor_inherited=True))
-    topics: dict[str, TopicSettings] = field(default_factory=dict)
-    on_stop: OnStop = OnStop.RESTORE
-    on_lost: OnLost = OnLost.KEEP
-    lost_after_s: float = 30.0
+    defaults: DefaultPreferences = field(default_factory=DefaultPreferences)
+    topics: tuple[TopicSettings, ...] = ()
+    relay: RelaySettings = field(default_factory=RelaySettings)
+    on_stop: Annotated[OnStop, choice(OnStop)] = OnStop.RESTORE
+    on_lost: Annotated[OnLost, choice(OnLost)] = OnLost.KEEP
+    lost_after_s: Annotated[float, duration("5s", "1h")] = 30.0
+    _known: dict[str, Preferences] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _patterns: list[tuple[re.Pattern[str], Preferences]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        """Prepare what `topic` answers: names, then patterns, the most specific first, then the defaults."""
+        if self.program.policy is not Policy.UNIFORM:
+            patterns = sorted((topic for topic in self.topics if topic.is_pattern), key=_specificity)
+            self._known.update({topic.name: topic for topic in self.topics if not topic.is_pattern})
+            self._patterns.extend((compile_patterns([topic.name]), topic) for topic in patterns)
+        given = {each.name: getattr(self.defaults, each.name) for each in fields(Preferences)}
+        self._patterns.append((re.compile(".*"), Preferences(**given | {"min_rate_hz": None})))
 
     @property
     def lease_s(self) -> float:
         """Silence of the daemon after which a publisher returns to its application's QoS, 0 = never (s)."""
         return self.lost_after_s if self.on_lost is OnLost.BASELINE else 0.0
 
-    def topic(self, name: str) -> TopicSettings:
-        """Return the preferences for the topic called ``name``; under the uniform policy no topic has its own."""
-        if self.program.policy is Policy.UNIFORM:
-            return self.default_topic
-        return self.topics.get(name, self.default_topic)
+    def topic(self, name: str) -> Preferences:
+        """Return the preferences for a topic: its own, else those of the most specific pattern it matches.
+
+        Under the uniform policy no topic has its own.
+        """
+        if (found := self._known.get(name)) is None:
+            found = next(preferences for pattern, preferences in self._patterns if pattern.fullmatch(name))
+            if len(self._known) < _MOST_KNOWN:
+                self._known[name] = found
+        return found
+
+
+def _specificity(topic: TopicSettings) -> tuple[int, int]:
+    """Return a key that sorts patterns: first those with more characters besides stars, then those with fewer stars."""
+    return -len(topic.name.replace("*", "")), topic.name.count("*")

@@ -9,8 +9,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from arpd.host.addresses import Addresses
-from arpd.host.config.domain import local_domain
-from arpd.host.config.load import load_settings
+from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import likeliest_interface
 from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog

@@ -33,11 +33,11 @@ def topics(snapshot: Snapshot) -> str:
     if settings.relay.link_domain is not None:
         return _of_two_ends(observation.relay)
     if settings.relay.topics:
-        names = listed([settings.relay.prefix + name for name in settings.relay.topics])
+        names = listed([settings.relay.prefix + name for name in settings.relay.topic_names])
         return f"the relay does not publish {names} yet; start arpd-relay, and the nodes whose topics it carries"
     where, file = _where(snapshot), snapshot.config_path or "the configuration"
     if settings.topics:
-        names = listed([*settings.topics])
+        names = listed([topic.name for topic in settings.topics])
         return f"no AdaptivePublisher{where} has a topic that {file} names ({names}); start its node; {_LIST}"
     return (
         f"no AdaptivePublisher is found{where}, and the relay has nothing to carry; "

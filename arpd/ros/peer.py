@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.estimate.receiver import Receiver, ReportSchedule
 from arpd.host.addresses import Addresses
-from arpd.host.config.domain import local_domain
-from arpd.host.config.load import load_settings
+from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog

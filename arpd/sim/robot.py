@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.queue import PacedQueue, Whole
-from arpd.model.endpoints import Direction, PublisherState, WriterQos
-from arpd.model.settings import Overflow
+from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
 from arpd.sim.arrivals import Arrivals
 from arpd.sim.result import TopicResult
 from arpd.sim.socket import Socket
@@ -100,7 +99,7 @@ def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tupl
     actuation : names of the actuation topics, which the configuration does not tell
     """
     prefix = settings.relay.link_prefix
-    relayed = {prefix + name: name for name in settings.relay.topics}
+    relayed = {prefix + name: name for name in settings.relay.topic_names}
     return tuple(
         SimTopic(
             name=relayed.get(each.topic, each.topic),

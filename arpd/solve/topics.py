@@ -62,9 +62,9 @@ def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...
 def assumed_traffic(settings: Settings) -> tuple[Traffic, ...]:
     """Return the traffic that the configuration assumes, with one remote reader per topic."""
     return tuple(
-        Traffic(topic=name, payload_bytes=preferences.payload_bytes, source_rate_hz=preferences.source_rate_hz)
-        for name, preferences in settings.topics.items()
-        if preferences.payload_bytes is not None and preferences.source_rate_hz is not None
+        Traffic(topic=topic.name, payload_bytes=topic.payload_bytes, source_rate_hz=topic.source_rate_hz)
+        for topic in settings.topics
+        if topic.payload_bytes is not None and topic.source_rate_hz is not None
     )
 
 
@@ -80,9 +80,10 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
     desired_hz = source_hz if preferences.max_rate_hz is None else min(source_hz, preferences.max_rate_hz)
     # One picture of 0.9 MB a second is more than a link of 5 Mbit/s carries: nobody asked for that floor.
     is_small = traffic.payload_bytes <= SMALL_PACKETS * FRAGMENT_BYTES
-    desired_hz = desired_hz or preferences.min_rate_hz
+    own_hz, default_hz = preferences.min_rate_hz, settings.defaults.min_rate_hz
+    desired_hz = desired_hz or (default_hz if own_hz is None else own_hz)
     # A floor never exceeds what the source publishes.
-    floor_hz = min(preferences.min_rate_hz, desired_hz) if is_small or not preferences.is_floor_inherited else 0.0
+    floor_hz = min((default_hz if is_small else 0.0) if own_hz is None else own_hz, desired_hz)
     # At a lower rate fewer samples share a heartbeat; the headroom covers that.
     size, packets = wire_size(traffic.payload_bytes, rate_hz=desired_hz)
     return Topic(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from arpd.host.config.kinds import reworded, shown
+from arpd.host.config.load import reworded
 from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
 from arpd.web.tls import TlsFileError, make_context
 from arpd.web.web_config_schema import (
@@ -31,6 +30,10 @@ if TYPE_CHECKING:
     from arpd.host.config.yaml_source import Location, YamlSource
     from arpd.model.settings import HttpSettings
 
+_KNOWN = {
+    path: [field.alias or name for name, field in section.model_fields.items()]
+    for path, section in WEB_SECTIONS.items()
+}
 _TLS = ("tls_server_config",)
 _MINIMAL = "a minimal one is `basic_auth_users: {NAME: HASH}`, or leave http.web_config out"
 
@@ -59,7 +62,7 @@ class Protection:
 
 def web_config_path(http: HttpSettings, *, directory: Path) -> Path | None:
     """Return the file that ``http.web_config`` names, None if it names none; relative paths start in ``directory``."""
-    return None if http.web_config == "none" else directory / http.web_config
+    return None if http.web_config is None else directory / http.web_config
 
 
 def check_web_config(http: HttpSettings, *, directory: Path) -> None:
@@ -140,26 +143,7 @@ def _broken_tls_rules(tls: TlsServer, source: YamlSource) -> Iterator[Fault]:
 
 def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
     location: Location = details["loc"]
-    match details["type"]:
-        case "extra_forbidden":
-            return Fault(place=source.keys[location], key=dotted(location), text=_unknown(location))
-        case "missing":
-            text = "is missing; TLS needs a certificate and its key"
-        case "model_type" | "model_attributes_type" | "dict_type":
-            value = source.value(location)
-            wrong = "has no value" if value is None else f"{shown(value)} is not a mapping"
-            text = f"{wrong}; give it keys or leave it out"
-        case _:
-            text = reworded(details)
-    return source.fault(location, text)
-
-
-def _unknown(location: Location) -> str:
-    names = tuple(str(step) for step in location)
-    if remedy := UNSUPPORTED.get(names):
-        return f"is a key of Prometheus exporters that arpd does not support; {remedy}"
-    fields = WEB_SECTIONS[names[:-1]].model_fields
-    known = [field.alias or name for name, field in fields.items()]
-    if near := difflib.get_close_matches(names[-1][:100], known, n=1):
-        return f"is not a key of a web-config; did you mean {near[0]}?"
-    return f"is not a key of a web-config; known here: {', '.join(known)}"
+    if remedy := UNSUPPORTED.get(tuple(str(step) for step in location)):
+        wrong = f"is a key of Prometheus exporters that arpd does not support; {remedy}"
+        return Fault(place=source.keys[location], key=dotted(location), text=wrong)
+    return reworded(details, source, _KNOWN)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator
 
-from arpd.host.config.kinds import Choice, Text, shown
+from arpd.model.kinds import choice, shown, text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -92,7 +92,7 @@ def _switch(raw: Any) -> bool:
     return raw
 
 
-_FILE = Text(pattern=r"[^\0]{1,4096}", what="a path", range="the path of a PEM file")
+_FILE = text(r"[^\0]{1,4096}", "a path", "the path of a PEM file")
 
 
 class _Section(BaseModel):
@@ -104,11 +104,11 @@ class TlsServer(_Section):
 
     cert_file: Annotated[str, _FILE]
     key_file: Annotated[str, _FILE]
-    client_auth_type: Annotated[ClientAuth, Choice(ClientAuth)] = ClientAuth.NONE
+    client_auth_type: Annotated[ClientAuth, choice(ClientAuth)] = ClientAuth.NONE
     client_ca_file: Annotated[str, _FILE] = ""
     client_allowed_sans: Annotated[tuple[str, ...], PlainValidator(_name_list)] = ()
-    min_version: Annotated[TlsVersion, Choice(TlsVersion)] = TlsVersion.TLS12
-    max_version: Annotated[TlsVersion, Choice(TlsVersion)] = TlsVersion.TLS13
+    min_version: Annotated[TlsVersion, choice(TlsVersion)] = TlsVersion.TLS12
+    max_version: Annotated[TlsVersion, choice(TlsVersion)] = TlsVersion.TLS13
     cipher_suites: Annotated[tuple[str, ...], PlainValidator(_cipher_list)] = ()
     prefer_server_cipher_suites: Annotated[bool, PlainValidator(_switch)] = True
 

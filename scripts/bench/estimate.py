@@ -52,12 +52,12 @@ _LIGHT = tuple(topic for topic in demo_topics() if topic is not _CAMERA)
 #: Floors that fit into 0.4 Mbit/s: the demo's alone exceed 1 Mbit/s, so its queue would not come from the estimate.
 _LOW_FLOORS = replace(
     demo_settings(),
-    default_topic=TopicSettings(min_rate_hz=0.2),
-    topics={
-        "/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=20.0),
-        "/link/imu": TopicSettings(weight=4.0, min_rate_hz=20.0),
-        "/link/odom": TopicSettings(weight=4.0, min_rate_hz=10.0),
-    },
+    topics=(
+        TopicSettings(name="/**", min_rate_hz=0.2),
+        TopicSettings(name="/cmd_vel", weight=10.0, min_rate_hz=20.0),
+        TopicSettings(name="/link/imu", weight=4.0, min_rate_hz=20.0),
+        TopicSettings(name="/link/odom", weight=4.0, min_rate_hz=10.0),
+    ),
 )
 #: Grid maps of 2 MB for a planner on the robot; nobody on the other host reads them.
 _LOCAL_MAP = SimTopic(name="/map", payload_bytes=2_000_000, rate_hz=2.0, direction=Direction.LOCAL)

@@ -72,10 +72,10 @@ def config() -> Fuzzable:
     """Feed a configuration: arpd makes settings of it, or names each fault in one clear line."""
     import yaml
 
+    from arpd.host.config.keys import SECTIONS, keys_of
     from arpd.host.config.load import load_settings
-    from arpd.host.config.schema import SECTIONS
 
-    keys = {key for section in SECTIONS.values() for key in section.model_fields}
+    keys = {key for section in SECTIONS.values() for key in keys_of(section)}
     shipped = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_bytes())
     seeds = [
         yaml.safe_dump(shipped).encode(),  # without comments: the fuzzer runs more short inputs than long ones

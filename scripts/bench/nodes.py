@@ -111,7 +111,7 @@ def created(node: Any, topic: Topic, way: Way) -> Any:
     if not way.is_adaptive:
         return node.create_publisher(made, topic.name, qos)
     from arpd import AdaptivePublisher
-    from arpd.model.settings import Overflow
+    from arpd.model.endpoints import Overflow
 
     if topic.is_kept:
         return AdaptivePublisher(node, made, topic.name, qos, overflow=Overflow.QUEUE)

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.model.settings import Overflow
+from arpd.model.endpoints import Overflow
 from tests.ros.clock import SkippingClock
 from tests.ros.price import FREE, TERMS, costing
 from tests.waiting import PATIENCE_S

@@ -12,7 +12,8 @@ import rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
-from arpd.model.settings import Overflow, RelaySettings
+from arpd.model.endpoints import Overflow
+from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.prefix import Prefixed
 from arpd.relay.ends.survey import Surveyed
@@ -60,7 +61,7 @@ def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, b
     """Messages of a plain publisher on /chatter arrive unchanged on /link/chatter."""
     talker = Numbers(elsewhere("plain").create_publisher(String, "/chatter", 1000), "plain")
     received = listen(elsewhere("far"), "/link/chatter")
-    settings = RelaySettings(topics=("/chatter", "/never"), depths={"/chatter": 1000})
+    settings = RelaySettings(topics=(RelayTopic(name="/chatter", depth=1000), RelayTopic(name="/never")))
     carry(elsewhere("relay"), settings)
     background(talker.talk)
     eventually("samples arrive", lambda: len(received) > 20)
@@ -72,7 +73,7 @@ def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually)
     """A late reader of the relayed topic receives the map published before it joined."""
     talker = elsewhere("map_server").create_publisher(String, "/map", LATCHED)
     talker.publish(String(data="the map"))
-    carry(ros.node("relay"), RelaySettings(topics=("/map",)))
+    carry(ros.node("relay"), RelaySettings(topics=(RelayTopic(name="/map"),)))
     eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
     received = []
     ros.node("late").create_subscription(String, "/link/map", lambda m: received.append(m.data), LATCHED)
@@ -112,7 +113,7 @@ def listen(node, topic):
     return received
 
 
-SETTINGS = RelaySettings(topics=("/chatter",), overflow={"/chatter": Overflow.QUEUE}, depths={"/chatter": 1000})
+SETTINGS = RelaySettings(topics=(RelayTopic(name="/chatter", overflow=Overflow.QUEUE, depth=1000),))
 
 
 def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, background, eventually):
@@ -159,7 +160,7 @@ def test_a_writer_keeps_its_number_and_leaves_it_half_a_minute_after_it_left():
 
 def test_a_topic_that_returns_with_another_type_is_carried_with_it(elsewhere, lines, carry, background, eventually):
     """The next source may publish another type; a type that is not installed is named."""
-    carry(elsewhere("relay"), RelaySettings(topics=("/chatter",)))
+    carry(elsewhere("relay"), RelaySettings(topics=(RelayTopic(name="/chatter"),)))
     first = elsewhere("first")
     talker = first.create_publisher(Empty, "/chatter", 10)
     eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
@@ -174,7 +175,7 @@ def test_circles_are_refused_and_named(elsewhere, lines, carry, background, even
     """A topic is carried no more once a node publishes it that reads what is republished; the others go on."""
     background(Numbers(elsewhere("plain").create_publisher(String, "/chatter", 10), "plain").talk)
     elsewhere("other").create_publisher(String, "/other", 10)
-    carry(elsewhere("relay"), RelaySettings(topics=("/chatter", "/other")))
+    carry(elsewhere("relay"), RelaySettings(topics=(RelayTopic(name="/chatter"), RelayTopic(name="/other"))))
     received = listen(elsewhere("far"), "/link/chatter")
     eventually("it is carried", lambda: received and lines[-1] == "relaying 2 of 2 topics")
     back = elsewhere("back")
@@ -190,7 +191,7 @@ def test_an_output_that_is_an_input_is_refused(elsewhere, lines, carry, eventual
     for topic in ("/chatter", "/other"):
         elsewhere("talker").create_publisher(String, topic, 10)
     relay = elsewhere("relay", cli_args=["--ros-args", "-r", "/link/chatter:=/other"])
-    carry(relay, RelaySettings(topics=("/chatter", "/other")))
+    carry(relay, RelaySettings(topics=(RelayTopic(name="/chatter"), RelayTopic(name="/other"))))
     words = "relaying 1 of 2 topics; refused /chatter: its output /other is carried too"
     eventually("the rule is named", lambda: lines[-1].startswith(words))
 
@@ -212,7 +213,7 @@ def test_mixed_and_missing_types_are_named(elsewhere, lines, carry, monkeypatch,
     node = elsewhere("relay")
     topics = "/mixed", "/chatter", "/missing"
     eventually("all are seen", lambda: [node.count_publishers(topic) for topic in topics] == [2, 1, 1])
-    carry(node, RelaySettings(topics=topics))
+    carry(node, RelaySettings(topics=tuple(RelayTopic(name=topic) for topic in topics)))
     words = "refused /missing: std_msgs/msg/Empty is not installed here; also /mixed"
     eventually("both are named", lambda: lines[-1] == f"relaying 1 of 3 topics; {words}")
     assert "cannot relay /mixed: it has more than one type: std_msgs/msg/Empty, std_msgs/msg/String;" in caplog.text

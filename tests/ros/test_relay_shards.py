@@ -20,7 +20,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.model.settings import RelaySettings
+from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.prefix import Prefixed
 from tests.ros.domain import DOMAIN
@@ -145,7 +145,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
     for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
     node = ros.node("mixed")
-    settings = RelaySettings(topics=("/image", "/chatter"))
+    settings = RelaySettings(topics=(RelayTopic(name="/image"), RelayTopic(name="/chatter")))
     participants = stack.enter_context(closing(Participants(node)))
     relay = Prefixed(node, settings, on_change=lambda _status: None, participants=participants)
     stack.enter_context(closing(relay))

@@ -464,7 +464,7 @@ def test_only_what_the_configuration_lets_out_crosses(world, eventually):
 def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):
     """Thinned to two sets a second, a group delivers only whole sets: the same stamps on all its topics."""
     topics = ("/left/image", "/left/camera_info", "/right/image")
-    ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}], by: stamp}}]").start()
+    ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}]}}]").start()
     camera, far = ends.side("robot").node("camera"), ends.side("base").node("planner")
     kinds = (Image, CameraInfo, Image)
     writers = [camera.create_publisher(kind, topic, 10) for kind, topic in zip(kinds, topics, strict=True)]

@@ -6,7 +6,7 @@ from arpd.daemon.compare import LinkEvent, compare, events, summarize
 from arpd.daemon.scenario import Moment, ScenarioResult
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.settings import RelaySettings, Settings, TopicSettings
+from arpd.model.settings import RelaySettings, RelayTopic, Settings, TopicSettings
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import SimTopic, configured_topics
 from arpd.sim.schedule import RateSchedule
@@ -70,14 +70,14 @@ def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
 def test_a_configuration_describes_a_robot():
     """The robot has the topics with a configured rate; relayed topics keep the application's name."""
     settings = Settings(
-        relay=RelaySettings(topics=("/scan", "/unknown"), prefix="/air"),
-        topics={
-            "/air/scan": TopicSettings(payload_bytes=5828.0, source_rate_hz=20.0),
-            "/camera": TopicSettings(payload_bytes=30_000.4, source_rate_hz=30.0),
-            "/cmd_vel": TopicSettings(payload_bytes=0.2, source_rate_hz=10.0),
-            "/no_rate": TopicSettings(payload_bytes=100.0),
-            "/silent": TopicSettings(payload_bytes=100.0, source_rate_hz=0.0),
-        },
+        relay=RelaySettings(topics=(RelayTopic(name="/scan"), RelayTopic(name="/unknown")), prefix="/air"),
+        topics=(
+            TopicSettings(name="/air/scan", payload_bytes=5828.0, source_rate_hz=20.0),
+            TopicSettings(name="/camera", payload_bytes=30_000.4, source_rate_hz=30.0),
+            TopicSettings(name="/cmd_vel", payload_bytes=0.2, source_rate_hz=10.0),
+            TopicSettings(name="/no_rate", payload_bytes=100.0),
+            TopicSettings(name="/silent", payload_bytes=100.0, source_rate_hz=0.0),
+        ),
     )
     assert configured_topics(settings, actuation=("/cmd_vel",)) == (
         SimTopic(name="/scan", payload_bytes=5828, rate_hz=20.0, prefix="/air"),

@@ -9,7 +9,7 @@ import pytest
 from arpd.daemon import scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.settings import OnLost, ProgramSettings, Settings, TopicSettings
+from arpd.model.settings import DefaultPreferences, OnLost, ProgramSettings, Settings
 from arpd.sim import world
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule
@@ -157,7 +157,7 @@ MIB = 2.0**20
 RESERVE = 128 * MIB
 DEEP = Settings(
     program=ProgramSettings(memory_reserve_bytes=RESERVE),
-    default_topic=TopicSettings(latency_budget_s=100.0),  # histories of several MiB
+    defaults=DefaultPreferences(latency_budget_s=100.0),  # histories of several MiB
 )
 
 

@@ -7,12 +7,13 @@ from functools import cache
 
 import pytest
 
+from arpd.model.settings import TopicSettings
 from arpd.sim.foreign import ForeignFlow
 from arpd.sim.link import LinkModel
 from tests.sim.test_price import MBIT, QUEUE, ROBOT, SETTINGS, at, goodput, play, queues
 
 FALLS_S, LASTS_S = 13.0, 28.0
-OWN_FLOORS = replace(SETTINGS.default_topic, is_floor_inherited=False)  # 1 Hz, of large samples, too
+OWN_FLOORS = (*SETTINGS.topics, TopicSettings(name="/**", min_rate_hz=1.0))  # of large samples, too
 DOWNLOAD = ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
 
 
@@ -41,7 +42,7 @@ def test_what_waits_in_a_hidden_queue_has_not_arrived(before, after):
     played = play(
         at((0, before), (FALLS_S, after)),
         LASTS_S,
-        settings=replace(SETTINGS, default_topic=OWN_FLOORS),
+        settings=replace(SETTINGS, topics=OWN_FLOORS),
         into_peer=(DOWNLOAD,),
         model=LinkModel(queue_bytes=0, firmware_bytes=1_500_000),
     )

@@ -22,7 +22,7 @@ ROBOT = (  # wants 27 Mbit/s
     SimTopic(name="/imu", payload_bytes=330, rate_hz=100.0),
     SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=10.0, direction=Direction.ACTUATION),
 )
-SETTINGS = Settings(topics={"/imu": TopicSettings(weight=4.0), "/cmd_vel": TopicSettings(weight=10.0)})
+SETTINGS = Settings(topics=(TopicSettings(name="/imu", weight=4.0), TopicSettings(name="/cmd_vel", weight=10.0)))
 FALLS_S, LASTS_S = 12.0, 32.0
 
 
@@ -96,11 +96,11 @@ def test_a_swing_makes_no_plan_and_no_swap():
 
 FLOORS = replace(
     SETTINGS,
-    topics={
-        **SETTINGS.topics,
-        "/scan": TopicSettings(weight=4.0, min_rate_hz=15.0),  # 0.7 Mbit/s
-        "/camera": TopicSettings(min_rate_hz=10.0),  # 1.8 Mbit/s
-    },
+    topics=(
+        *SETTINGS.topics,
+        TopicSettings(name="/scan", weight=4.0, min_rate_hz=15.0),  # 0.7 Mbit/s
+        TopicSettings(name="/camera", min_rate_hz=10.0),  # 1.8 Mbit/s
+    ),
 )
 STARVED_S, FREED_S = 12.0, 32.0
 

@@ -33,7 +33,10 @@ ROBOT = (
     SimTopic(name="/cmd_vel", payload_bytes=80, rate_hz=10.0, direction=Direction.ACTUATION),
 )
 SETTINGS = Settings(
-    topics={"/cmd_vel": TopicSettings(weight=10.0, min_rate_hz=10.0), "/imu": TopicSettings(weight=4.0)},
+    topics=(
+        TopicSettings(name="/cmd_vel", weight=10.0, min_rate_hz=10.0),
+        TopicSettings(name="/imu", weight=4.0),
+    ),
 )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from arpd.host.config.kinds import NONE
+from arpd.model.kinds import NONE
 from arpd.model.quantities import format_rate, printable, spell_duration, spell_size
 from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND
 
@@ -112,7 +112,7 @@ def _relay(guess: FirstGuess, link: LinkChoice) -> Iterator[str]:
     yield from _indented(["services: []", "actions: []"])
     if guess.groups:
         yield from _indented(_comment("a picture and its camera_info cross together or not at all: by the same stamp"))
-        groups = [{"name": group.name, "topics": list(group.topics), "by": "stamp"} for group in guess.groups]
+        groups = [{"name": group.name, "topics": list(group.topics)} for group in guess.groups]
         yield from _indented(_yaml({"groups": groups}))
 
 

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import difflib
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from arpd.host.config.kinds import reworded, shown
+from arpd.host.config.keys import SECTIONS, keys_of, kinds_of
 from arpd.host.config.rules import broken_rules
-from arpd.host.config.schema import SECTIONS, Document, Section, flatten, spelled
 from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
+from arpd.model.kinds import shown
+from arpd.model.quantities import printable
+from arpd.model.settings import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
     from pydantic_core import ErrorDetails
 
     from arpd.host.config.yaml_source import Location, YamlSource
-    from arpd.model.settings import Settings
+    from arpd.model.settings import TopicSettings
 
-_RESTART_ONLY = ("link.interface", "http.", "relay.")
-_ABSENT = "absent"
-# Keys of older versions.
-_REMOVED = dict.fromkeys(
-    ("governor.down_ratio", "governor.up_ratio", "governor.deadband", "governor.swaps_per_minute"),
-    "was removed: DEPTH and DEADLINE now move in classes, within 1 % of the link; delete this line",
-)
+_SETTINGS = TypeAdapter(Settings)
+_NO_MAPPING = {"dataclass_type", "model_type", "model_attributes_type", "dict_type"}
 
 
 def load_settings(
@@ -41,8 +39,7 @@ def load_settings(
     path : YAML file
     interfaces : returns the names of this host's interfaces, None where they are unknown; None = do not check
         ``link.interface``
-    local_domain : ROS domain of this host's own nodes (`arpd.host.config.domain`), None = do not check
-        ``relay.link_domain`` against it
+    local_domain : ROS domain of this host's own nodes, None = do not check ``relay.link_domain`` against it
 
     Raises
     ------
@@ -50,22 +47,23 @@ def load_settings(
         With every fault of the file, in its order.
     """
     source = read_source(path)
-    faults = list(source.faults)
-    document = None
+    faults, spoilt = list(source.faults), frozenset[Any]()
     try:
-        document = Document.model_validate(source.data)
+        settings = _SETTINGS.validate_python(source.data)
     except ValidationError as error:
-        faults += (_reworded(details, source) for details in error.errors(include_url=False))
-    faults += broken_rules(source, interfaces=interfaces() if interfaces else None, local_domain=local_domain)
-    if faults or document is None:
+        details = error.errors(include_url=False)
+        known = {path: list(keys_of(section)) for path, section in SECTIONS.items()}
+        faults += (reworded(each, source, known) for each in details)
+        spoilt = frozenset(_spoilt(each["loc"]) for each in details)
+        # The rules need settings, too: one wrong value hides no other fault.
+        settings = _SETTINGS.validate_python(_without(source.data, spoilt))
+    settings = replace(settings, topics=_inherited(settings, source, spoilt))
+    faults += broken_rules(
+        settings, source, spoilt, interfaces=interfaces() if interfaces else None, local_domain=local_domain
+    )
+    if faults:
         raise config_error(path, faults)
-    return document.settings()
-
-
-def describe_change(old: Settings, new: Settings) -> list[str]:
-    """Return one line ``key: old -> new`` for each key that differs."""
-    before, after = ({key: spelled(value) for key, value in flatten(settings).items()} for settings in (old, new))
-    return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
+    return settings
 
 
 def in_force(old: Settings, new: Settings) -> Settings:
@@ -73,68 +71,81 @@ def in_force(old: Settings, new: Settings) -> Settings:
     return replace(new, http=old.http, relay=old.relay, link=replace(new.link, interface=old.link.interface))
 
 
-def restart_only_changes(old: Settings, new: Settings) -> list[str]:
-    """Return the keys that differ but are read at start only, so that a reload cannot apply them."""
-    return [key for key in _changed(old, new) if needs_restart(key)]
+def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
+    """Return the domain that rcl takes from the environment; None if ROS_DOMAIN_ID is no number, which rcl refuses."""
+    try:
+        return int(environment.get("ROS_DOMAIN_ID") or "0", base=0)
+    except ValueError:
+        return None
 
 
-def needs_restart(key: str) -> bool:
-    """Return whether a change of the dotted key takes effect only after a restart."""
-    return key.startswith(_RESTART_ONLY)
+def reworded(details: ErrorDetails, source: YamlSource, known: Mapping[tuple[str, ...], Collection[str]]) -> Fault:
+    """Return the fault behind an error of pydantic.
 
-
-def _changed(old: Settings, new: Settings) -> Iterator[str]:
-    before, after = flatten(old), flatten(new)
-    return (key for key in before | after if before.get(key) != after.get(key))
-
-
-def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
+    Parameters
+    ----------
+    known : keys of every section, by its location without list positions
+    """
     location: Location = details["loc"]
+    section = known.get(tuple(step for step in location if isinstance(step, str)), ())
+    value = source.value(location)
     match details["type"]:
-        case "extra_forbidden":
-            unknown = f"is not a key arpd knows; {_nearest(location)}"
-            key = dotted(location)
-            return Fault(place=source.keys[location], key=key, text=_REMOVED.get(key, unknown))
+        case "unexpected_keyword_argument" | "extra_forbidden":
+            text = f"unknown key; {_nearest(location, known)}"
+            return Fault(place=source.keys[location], key=dotted(location), text=text)
         case "missing":
-            text = "is missing; give every item one"
-        case "model_type":
-            text = f"{_shape(details['input'], 'a mapping')}; {_keys(location)}"
+            text = f"is missing; add `{location[-1]}:`"
+        case kind if kind in _NO_MAPPING:
+            wrong = "has no value" if value is None else f"{shown(value)} is not a mapping"
+            keys = f" ({', '.join(section)})" if section else ""
+            text = f"{wrong}; give it keys{keys} or leave it out"
         case "tuple_type":
-            text = f"{_shape(details['input'], 'a list')}; {_items(location)}"
+            wrong = "has no value" if value is None else f"{shown(value)} is not a list"
+            text = f"{wrong}; write a list, or [] for none"
+        case "value_error":
+            text = str(details["ctx"]["error"])
         case _:
-            text = reworded(details)
+            text = f"{printable(details['msg'])}; see the manual"
     return source.fault(location, text)
 
 
-def _section(location: Location) -> type[Section]:
-    return SECTIONS[tuple(step for step in location if isinstance(step, str))]
-
-
-def _nearest(location: Location) -> str:
+def _nearest(location: Location, known: Mapping[tuple[str, ...], Collection[str]]) -> str:
     """Suggest a key that looks like the wrong one, or list the known keys."""
-    known = list(_section(location[:-1]).model_fields)
-    wrong = str(location[-1])
-    if near := difflib.get_close_matches(wrong[:100].lower(), known, n=1):
+    *above, wrong = (step for step in location if isinstance(step, str))
+    here = known[tuple(above)]
+    if near := difflib.get_close_matches(wrong[:100].lower(), here, n=1):
         return f"did you mean {near[0]}?"
-    elsewhere = [".".join((*path, wrong)) for path, section in SECTIONS.items() if wrong in section.model_fields]
-    if elsewhere:
+    if elsewhere := [".".join((*path, wrong)) for path, keys in known.items() if wrong in keys]:
         return f"did you mean {elsewhere[0]}?"
-    return f"known here: {', '.join(known)}"
+    return f"known here: {', '.join(here)}"
 
 
-def _shape(value: Any, wanted: str) -> str:
-    return "has no value" if value is None else f"{shown(value)} is not {wanted}"
+def _spoilt(location: Location) -> Location:
+    """Return what a fault makes useless: a value, or the whole item of a list whose name or topics are at fault."""
+    for length, step in enumerate(location):
+        above = tuple(step for step in location[:length] if isinstance(step, str))
+        if step in {"name", "topics"} and above in {("topics",), ("relay", "topics"), ("relay", "groups")}:
+            return location[:length]
+    return location
 
 
-def _items(location: Location) -> str:
-    """Return how to write the list there."""
-    *above, last = location
-    if kind := _section(tuple(above)).kinds().get(str(last)):
-        return f"write {kind.range}"
-    required = next(key for key, field in _section(location).model_fields.items() if field.is_required())
-    return f"write items with `- {required}:`, or [] for none"
+def _without(value: Any, spoilt: Collection[Location], location: Location = ()) -> Any:
+    """Return plain data without what is at fault."""
+    if isinstance(value, dict):
+        inner = {key: (*location, key) for key in value}
+        return {key: _without(value[key], spoilt, inner[key]) for key in value if inner[key] not in spoilt}
+    if isinstance(value, list):
+        places = [(*location, index) for index in range(len(value))]
+        kept = [(each, place) for each, place in zip(value, places, strict=True) if place not in spoilt]
+        return [_without(each, spoilt, place) for each, place in kept]
+    return value
 
 
-def _keys(location: Location) -> str:
-    known: list[Any] = list(_section(location).model_fields)
-    return f"give it keys ({', '.join(known)}) or leave it out"
+def _inherited(settings: Settings, source: YamlSource, spoilt: Collection[Location]) -> tuple[TopicSettings, ...]:
+    """Return the entries of ``topics`` with ``defaults`` for keys that they leave out, without the floor."""
+    shared = kinds_of(SECTIONS["defaults",]).keys() - {"min_rate_hz"}
+    topics = []
+    for location, topic in source.items(("topics",), settings.topics, spoilt):
+        absent = [keys_of(SECTIONS["defaults",])[key][0] for key in shared - source.value(location).keys()]
+        topics.append(replace(topic, **{attribute: getattr(settings.defaults, attribute) for attribute in absent}))
+    return tuple(topics)

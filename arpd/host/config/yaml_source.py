@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import yaml
 
@@ -12,14 +12,23 @@ from arpd.model.errors import ConfigError
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
+T = TypeVar("T")
 Location: TypeAlias = tuple[str | int, ...]  # ("topics", 2, "min_rate_hz")
 MAX_BYTES = 2**20
 MAX_DEPTH = 20
 MAX_NODES = 20_000  # keys and values; a thousand topics with every key have 18,000
 MAX_FAULTS = 100
 MINIMAL_FILE = "a minimal one is `link: {interface: auto}`"
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+\.?[0-9]*)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)")
+_CONSTANTS = {
+    word: value
+    for value, words in ((None, ("", "~", "null")), (True, ("true",)), (False, ("false",)))
+    for word in (*words, *map(str.title, words), *map(str.upper, words))
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, order=True)
@@ -54,37 +63,45 @@ class YamlSource:
     ----------
     data : plain mappings, lists and scalars
     keys, values : place of each key and of each value
-    faults : repeated keys and keys that are no names
+    faults : repeated keys
     """
 
-    data: dict[str, Any]
+    data: dict[str, Any] = field(default_factory=dict)
     keys: dict[Location, Place] = field(default_factory=dict)
     values: dict[Location, Place] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
-
-    def place(self, location: Location) -> Place:
-        """Return the place of a value, or of the nearest mapping or list around it."""
-        while location:
-            if location in self.values:
-                return self.values[location]
-            location = location[:-1]
-        return Place()
 
     def value(self, location: Location) -> Any:
         """Return the value there, None if there is none."""
         value: Any = self.data
         for step in location:
             if isinstance(value, dict):
-                value = value.get(step)
+                value = value.get(str(step))
             elif isinstance(value, list) and isinstance(step, int):
                 value = value[step]
             else:
                 return None
         return value
 
+    def items(self, location: Location, made: Sequence[T], spoilt: Collection[Location]) -> list[tuple[Location, T]]:
+        """Return the place of each item of a list with what was made of it; nothing was made of what is at fault."""
+        value = self.value(location)
+        places = [(*location, index) for index in range(len(value))] if isinstance(value, list) else []
+        return list(zip([place for place in places if place not in spoilt], made, strict=True))
+
     def fault(self, location: Location, text: str) -> Fault:
-        """Return a fault of the value there."""
-        return Fault(place=self.place(location), key=dotted(location), text=text)
+        """Return a fault of the value there, at the place of the nearest value around it where there is none."""
+        found = (self.values.get(location[:length]) for length in range(len(location), 0, -1))
+        place = next((place for place in found if place), Place())
+        return Fault(place=place, key=dotted(location), text=text)
+
+
+class _RefusedError(Exception):
+    """A fault that ends the reading."""
+
+    def __init__(self, key: str, text: str, place: Place | None = None) -> None:
+        super().__init__(text)
+        self.fault = Fault(place=place or Place(), key=key, text=text)
 
 
 def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
@@ -100,7 +117,7 @@ def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
         If the file cannot be read, is not one YAML mapping, or has anchors, aliases, tags or deep nesting.
     """
     try:
-        return _compose(_text(path), minimal)
+        return _Reader(_text(path)).read(minimal)
     except _RefusedError as error:
         raise config_error(path, [error.fault]) from None
 
@@ -126,169 +143,130 @@ def _key(name: str) -> str:
     return printable(name) if re.fullmatch(r"[\w-]+", name) else f"'{printable(name)}'"
 
 
-class _RefusedError(Exception):
-    """A fault that ends the reading."""
-
-    def __init__(self, key: str, text: str, place: Place | None = None) -> None:
-        super().__init__(text)
-        self.fault = Fault(place=place or Place(), key=key, text=text)
-
-
 def _text(path: Path) -> str:
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise _RefusedError("file", "does not exist; create it or name another file") from None
-    except IsADirectoryError:
-        raise _RefusedError("file", "is a directory; name a YAML file") from None
-    except PermissionError:
-        raise _RefusedError("file", "is not readable for this user; change its mode or owner") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise _RefusedError("file", f"cannot be read ({error}); name another file") from None
+        why = getattr(error, "strerror", None) or error
+        raise _RefusedError("file", f"cannot be read ({why}); create it, change its mode, or name another") from None
     if len(raw) > MAX_BYTES:
         raise _RefusedError("file", "is larger than 1 MiB; shorten it or name another file")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        place = Place(line=before.count(b"\n") + 1, column=error.start - (before.rfind(b"\n") + 1) + 1)
+        place = _after(raw[: error.start].decode(errors="replace"))
         raise _RefusedError("file", f"byte 0x{raw[error.start]:02x} is not UTF-8; save it as UTF-8", place) from None
 
 
-class _Loader(yaml.SafeLoader):
-    """Composes nodes; refuses aliases (they expand), tags (they run code), deep nesting and too many nodes."""
-
-    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own way
+class _Reader:
+    """Makes plain data of PyYAML's events; refuses aliases (they expand), tags (they run code) and too much."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self._depth = 0
+        try:
+            self._loader = yaml.SafeLoader(text)
+        except yaml.reader.ReaderError as error:
+            wrong = "a control character is not allowed here; remove it"
+            raise _RefusedError("yaml", wrong, _after(text[: error.position])) from None
+        self._source = YamlSource()
         self._nodes = 0
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+    def read(self, minimal: str) -> YamlSource:
+        self._next()
+        event = self._next()
+        if not isinstance(event, yaml.StreamEndEvent):
+            event = self._next()
+        if isinstance(event, yaml.StreamEndEvent) or (isinstance(event, yaml.ScalarEvent) and not event.value):
+            raise _RefusedError("file", f"is empty; {minimal}")
+        self._refuse(event, ())
+        if not isinstance(event, yaml.MappingStartEvent):
+            wrong = f"is {_kind(event)}, not a mapping of keys; {minimal}"
+            raise _RefusedError("file", wrong, _place(event.start_mark))
+        self._source.data.update(self._mapping(()))
+        self._next()
+        if not isinstance(event := self._next(), yaml.StreamEndEvent):
+            raise _RefusedError("yaml", "holds a second YAML document; keep one", _place(event.start_mark))
+        return self._source
+
+    def _next(self) -> Any:
+        try:
+            return self._loader.get_event()  # type: ignore[no-untyped-call]
+        except yaml.MarkedYAMLError as error:
+            wrong = f"{printable(error.problem or 'cannot be read', longest=200)}; correct the YAML here"
+            raise _RefusedError("yaml", wrong, _place(error.problem_mark or error.context_mark)) from None
+        except (ValueError, OverflowError):
+            # PyYAML converts some numbers unchecked: "\UFFFFFFFF", %YAML 1.<5,000 digits>.
+            wrong = "a number is out of range; correct the YAML here"
+            raise _RefusedError("yaml", wrong, _place(self._loader.get_mark())) from None
+
+    def _refuse(self, event: Any, location: Location) -> None:
         place = _place(event.start_mark)
         anchor = printable(getattr(event, "anchor", None) or "")
-        if isinstance(event, yaml.AliasEvent):
-            raise _RefusedError("yaml", f"alias *{anchor} is not allowed; write the value out", place)
-        if anchor:
-            raise _RefusedError("yaml", f"anchor &{anchor} is not allowed; remove it", place)
-        if getattr(event, "tag", None):
-            raise _RefusedError("yaml", f"tag {printable(event.tag)} is not allowed; remove it", place)
-        if self._depth >= MAX_DEPTH:
-            raise _RefusedError("yaml", f"is nested more than {MAX_DEPTH} deep; remove levels", place)
-        if self._nodes >= MAX_NODES:
-            text = f"holds more than {MAX_NODES:,} keys and values; remove some"
-            raise _RefusedError("yaml", text, place)
-        self._depth += 1
         self._nodes += 1
-        try:
-            return super().compose_node(parent, index)
-        finally:
-            self._depth -= 1
-
-
-# The core types of YAML 1.2, because YAML 1.1, which PyYAML reads, surprises: `1:30` is 90, `010` is 8, `on` is true.
-for _tag, _pattern, _first in (
-    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
-    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    ("int", r"[-+]?[0-9]+", list("-+0123456789")),
-    (
-        "float",
-        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
-        list("-+.0123456789"),
-    ),
-):
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), _first)
-
-
-def _compose(text: str, minimal: str) -> YamlSource:
-    root = _root(text)
-    if root is None or (isinstance(root, yaml.ScalarNode) and not root.value):
-        raise _RefusedError("file", f"is empty; {minimal}")
-    if not isinstance(root, yaml.MappingNode):
-        place = _place(root.start_mark)
-        raise _RefusedError("file", f"is {_kind(root)}, not a mapping of keys; {minimal}", place)
-    source = YamlSource(data={})
-    source.data.update(_plain_mapping(root, (), source))
-    return source
-
-
-def _root(text: str) -> yaml.Node | None:
-    loader = None
-    try:
-        loader = _Loader(text)
-        return loader.get_single_node()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        if error.problem == "but found another document":
-            wrong = "holds a second YAML document; keep one"
+        if isinstance(event, yaml.AliasEvent):
+            wrong = f"alias *{anchor} is not allowed; write the value out"
+        elif anchor:
+            wrong = f"anchor &{anchor} is not allowed; remove it"
+        elif event.tag:
+            wrong = f"tag {printable(event.tag)} is not allowed; remove it"
+        elif len(location) >= MAX_DEPTH:
+            wrong = f"is nested more than {MAX_DEPTH} deep; remove levels"
+        elif self._nodes > MAX_NODES:
+            wrong = f"holds more than {MAX_NODES:,} keys and values; remove some"
         else:
-            wrong = f"{printable(error.problem or 'cannot be read', longest=200)}; correct the YAML here"
-        raise _RefusedError("yaml", wrong, _place(mark)) from None
-    except yaml.reader.ReaderError as error:
-        before = text[: error.position]
-        place = Place(line=before.count("\n") + 1, column=len(before) - (before.rfind("\n") + 1) + 1)
-        raise _RefusedError("yaml", "a control character is not allowed here; remove it", place) from None
-    except (ValueError, OverflowError):
-        # PyYAML converts some numbers unchecked: "\UFFFFFFFF", %YAML 1.<5,000 digits>.
-        mark = loader.get_mark() if loader else None
-        raise _RefusedError("yaml", "a number is out of range; correct the YAML here", _place(mark)) from None
+            return
+        raise _RefusedError("yaml", wrong, place)
+
+    def _value(self, event: Any, location: Location) -> Any:
+        self._refuse(event, location)
+        self._source.values[location] = _place(event.start_mark)
+        if isinstance(event, yaml.MappingStartEvent):
+            return self._mapping(location)
+        if isinstance(event, yaml.ScalarEvent):
+            return _scalar(event.value) if event.implicit[0] else event.value
+        items: list[Any] = []
+        while not isinstance(event := self._next(), yaml.SequenceEndEvent):
+            items.append(self._value(event, (*location, len(items))))
+        return items
+
+    def _mapping(self, location: Location) -> dict[str, Any]:
+        data: dict[str, Any] = {}
+        while not isinstance(event := self._next(), yaml.MappingEndEvent):
+            self._refuse(event, location)
+            place = _place(event.start_mark)
+            if not isinstance(event, yaml.ScalarEvent):
+                raise _RefusedError("yaml", f"{_kind(event)} cannot be a key; write a name", place)
+            inner = (*location, event.value)
+            if event.value in data:
+                wrong = f"is already given on line {self._source.keys[inner].line}; keep one of the two"
+                self._source.faults.append(Fault(place=place, key=dotted(inner), text=wrong))
+                self._value(self._next(), (*location, ""))
+                continue
+            self._source.keys[inner] = place
+            data[event.value] = self._value(self._next(), inner)
+        return data
 
 
-def _plain(node: yaml.Node, location: Location, source: YamlSource) -> Any:
-    source.values[location] = _place(node.start_mark)
-    if isinstance(node, yaml.MappingNode):
-        return _plain_mapping(node, location, source)
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, (*location, index), source) for index, item in enumerate(node.value)]
-    return _scalar(node)
+def _scalar(text: str) -> Any:
+    """Resolve as YAML 1.2 does; YAML 1.1, which PyYAML reads, surprises: `1:30` is 90, `010` is 8, `on` is true."""
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
+    if _INTEGER.fullmatch(text) and len(text) <= 18:  # more digits need not be exact; Python refuses more than 4,300
+        return int(text)
+    if _FLOAT.fullmatch(text):
+        return float(text.replace(".", "", 1) if text[-1] in "fFnN" else text)
+    return text
 
 
-def _plain_mapping(node: yaml.MappingNode, location: Location, source: YamlSource) -> dict[str, Any]:
-    data: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        place = _place(key_node.start_mark)
-        if not isinstance(key_node, yaml.ScalarNode) or not key_node.tag.endswith(":str"):
-            where = dotted(location) or "file"
-            source.faults.append(Fault(place=place, key=where, text=f"has {_kind(key_node)} for a key; write a name"))
-            continue
-        inner = (*location, key_node.value)
-        if key_node.value in data:
-            first = source.keys[inner].line
-            wrong = f"is already given on line {first}; keep one of the two"
-            source.faults.append(Fault(place=place, key=dotted(inner), text=wrong))
-            continue
-        source.keys[inner] = place
-        data[key_node.value] = _plain(value_node, inner, source)
-    return data
-
-
-def _scalar(node: yaml.Node) -> Any:
-    text: str = node.value
-    match node.tag.rpartition(":")[2]:
-        case "null":
-            return None
-        case "bool":
-            return text.lower() == "true"
-        case "int":
-            # More than 18 digits need not be exact; Python refuses to convert more than 4,300.
-            return int(text) if len(text) <= 18 else float(text)
-        case "float":
-            return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-        case _:
-            return text
-
-
-def _kind(node: yaml.Node) -> str:
-    if isinstance(node, yaml.SequenceNode):
-        return "a list"
-    if isinstance(node, yaml.MappingNode):
-        return "a mapping"
-    kinds = {"null": "nothing", "bool": "true or false", "int": "a number", "float": "a number"}
-    return kinds.get(node.tag.rpartition(":")[2], "text")
+def _kind(event: Any) -> str:
+    if isinstance(event, yaml.ScalarEvent):
+        return "text"
+    return "a mapping" if isinstance(event, yaml.MappingStartEvent) else "a list"
 
 
 def _place(mark: Any) -> Place:
     return Place(line=mark.line + 1, column=mark.column + 1) if mark else Place()
+
+
+def _after(text: str) -> Place:
+    return Place(line=text.count("\n") + 1, column=len(text) - text.rfind("\n"))

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from arpd.endpoint.lane import Lane
-from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.link_topic import LinkTopic
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
@@ -236,7 +236,7 @@ class Outgoing:
         depth = self._settings.depths.get(link_name)
 
         def lane(write: Callable[[bytes], None]) -> Lane:
-            if self._settings.overflow.get(link_name) is Overflow.QUEUE:
+            if link_name in self._settings.queued:
                 most = depth or DEFAULT_RELAY_DEPTH
                 return Lane(write, depth=most, large_depth=most, is_ordered=True, is_kept=True)
             if is_latched:

@@ -11,7 +11,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from arpd.endpoint.publisher import AdaptivePublisher
 from arpd.host.notify import Watchdog
-from arpd.model.settings import DEFAULT_RELAY_DEPTH, Overflow
+from arpd.model.endpoints import Overflow
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.depths import BULK_BYTES
 from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.survey import Survey
@@ -60,8 +61,8 @@ class Prefixed:
         self, node: Any, settings: RelaySettings, *, participants: Participants, on_change: Callable[[str], None]
     ) -> None:
         self._node, self._settings, self._participants, self._on_change = node, settings, participants, on_change
-        self._inputs = {topic: str(node.resolve_topic_name(topic)) for topic in settings.topics}
-        self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topics}
+        self._inputs = {topic: str(node.resolve_topic_name(topic)) for topic in settings.topic_names}
+        self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topic_names}
         self._view = GraphView.of(node)
         self._survey = Survey(node, is_of_interest=frozenset(self._inputs.values()).__contains__)
         self._thread = ReadingThread()
@@ -157,7 +158,7 @@ class Prefixed:
                 depth=depth or DEFAULT_RELAY_DEPTH,
                 durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE,
             ),
-            overflow=self._settings.overflow.get(topic, Overflow.LATEST),
+            overflow=Overflow.QUEUE if topic in self._settings.queued else Overflow.LATEST,
         )
 
         def deliver(_writer: WriterOffer, sample: Sample) -> None:

@@ -121,7 +121,7 @@ class Talker:
         from std_msgs.msg import String
 
         from arpd import AdaptivePublisher
-        from arpd.model.settings import Overflow
+        from arpd.model.endpoints import Overflow
 
         self._publishers = {
             topic: AdaptivePublisher(node, String, topic, BASELINE_DEPTH, overflow=Overflow.QUEUE) for topic in topics

@@ -9,8 +9,8 @@ from unittest.mock import Mock
 
 import pytest
 
+from arpd.host.config.keys import flatten
 from arpd.host.config.load import load_settings
-from arpd.host.config.schema import flatten
 from arpd.model.errors import LinkError, RosUnavailableError
 from arpd.model.settings import Backend
 

@@ -11,12 +11,12 @@ import pytest
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.observation import MemoryState
 from arpd.model.settings import (
+    DefaultPreferences,
     GraphSettings,
     LinkSettings,
     Policy,
     ProgramSettings,
     Settings,
-    TopicSettings,
 )
 from arpd.model.wire import wire_size
 from tests.sample_link import INTERFACE, observation
@@ -75,7 +75,7 @@ class Robot:
                     capacity_bytes_per_second=max_rate_hz * WIRE_BYTES, headroom=1.0, packet_overhead_s=0.0
                 ),
                 "program": ProgramSettings(policy=Policy.UNIFORM, memory_budget_bytes=2.0**31),
-                "default_topic": TopicSettings(latency_budget_s=None),
+                "defaults": DefaultPreferences(latency_budget_s=None),
                 **settings,
             }
         )

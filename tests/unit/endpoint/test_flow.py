@@ -13,9 +13,8 @@ from arpd.endpoint.flow import Flow
 from arpd.endpoint.lane import SMALL_BYTES
 from arpd.endpoint.queue import PacedQueue, Whole
 from arpd.endpoint.writer_swap import SwapTiming
-from arpd.model.endpoints import WithheldCause, WriterQos
+from arpd.model.endpoints import Overflow, WithheldCause, WriterQos
 from arpd.model.price import Price
-from arpd.model.settings import Overflow
 from arpd.model.wire import wire_size
 from tests.examples import examples
 from tests.unit import swap_world

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from arpd.govern.plan import make_plan
 from arpd.model.allocation import Topic
 from arpd.model.plan import QosPlan
-from arpd.model.settings import Backend, ProgramSettings, Settings, TopicSettings
+from arpd.model.settings import Backend, DefaultPreferences, ProgramSettings, Settings
 from arpd.solve.program import Program
 from tests.examples import examples
 from tests.sample_publishers import publisher
@@ -42,7 +42,7 @@ def test_a_row_has_the_ceiling_and_the_terms_of_the_price(capacity):
 
 def test_an_operators_cap_is_a_cap():
     """The ceiling never exceeds `max_rate_hz`."""
-    capped = Settings(default_topic=TopicSettings(max_rate_hz=15.0))
+    capped = Settings(defaults=DefaultPreferences(max_rate_hz=15.0))
     topic = replace(TOPIC, desired_rate_hz=15.0)
     assert planned(1e8, [topic], settings=capped).topics["/t"].rate_hz == 15.0
 
@@ -119,7 +119,7 @@ def test_a_silent_source_keeps_its_row():
 )
 def test_a_source_that_was_always_silent_has_no_basis_for_a_ceiling(most_hz, payload_bytes, ceiling_hz):
     """Where no rate is known, the operator's cap and the price bound small samples; large ones begin at the floor."""
-    capped = Settings(default_topic=TopicSettings(max_rate_hz=most_hz))
+    capped = Settings(defaults=DefaultPreferences(max_rate_hz=most_hz))
     silent = replace(SILENT, payload_bytes=payload_bytes)
     row = planned(1e6, [UNKNOWN], [silent], settings=capped).topics["/t"]
     assert (row.rate_hz, row.deadline_ns, row.wire_bytes) == (ceiling_hz, 0, UNKNOWN.wire_bytes)

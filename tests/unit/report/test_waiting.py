@@ -6,13 +6,13 @@ import pytest
 
 from arpd.model.link import CapacityKind
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.model.settings import LinkSettings, RelaySettings, Settings, TopicSettings
+from arpd.model.settings import LinkSettings, RelaySettings, RelayTopic, Settings, TopicSettings
 from arpd.report.situation import Condition, judge, status_line
 from tests.golden.sample import changed
 
-ONE_END = Settings(relay=RelaySettings(topics=("/scan",)))
+ONE_END = Settings(relay=RelaySettings(topics=(RelayTopic(name="/scan"),)))
 TWO_ENDS = Settings(relay=RelaySettings(link_domain=77, robot="10.0.0.1"))
-NAMED = Settings(topics={"/chatter": TopicSettings()})
+NAMED = Settings(topics=(TopicSettings(name="/chatter"),))
 
 
 def starting(settings=None, **observation):

@@ -6,7 +6,7 @@ import pytest
 
 from arpd.model.endpoints import Direction
 from arpd.model.observation import MemoryState
-from arpd.model.settings import ProgramSettings, Settings, TopicSettings
+from arpd.model.settings import DefaultPreferences, ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
 from arpd.solve.topics import (
     assumed_traffic,
@@ -25,8 +25,10 @@ def driver(topic="/scan", node="/driver", **fields):
 
 def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
     """Wire bytes come from the payload, the desired rate from the source, the rest from the configuration."""
-    preferences = TopicSettings(weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None)
-    (row,) = rows_of_traffic(measured_traffic([driver()]), Settings(topics={"/scan": preferences}))
+    preferences = TopicSettings(
+        name="/scan", weight=3.0, min_rate_hz=2.0, min_depth=2, max_depth=50, latency_budget_s=None
+    )
+    (row,) = rows_of_traffic(measured_traffic([driver()]), Settings(topics=(preferences,)))
     size, packets = wire_size(6000.0, rate_hz=20.0)
     assert (row.name, row.wire_bytes, row.packets) == ("/scan", size, packets)
     assert (row.desired_rate_hz, row.min_rate_hz, row.weight) == (20.0, 2.0, 3.0)
@@ -34,10 +36,19 @@ def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
     assert row.slot_bytes == pytest.approx(700.0 + 1.3 * 6000.0)
 
 
+def test_a_pattern_sets_weight_floor_and_cap_of_all_it_matches():
+    """Its floor holds for large samples, too; that of the defaults does not."""
+    pattern = TopicSettings(name="/camera/**", weight=3.0, min_rate_hz=2.0, max_rate_hz=5.0)
+    large = [driver("/camera/left", payload_bytes=1e6), driver("/camera/right"), driver("/map", payload_bytes=1e6)]
+    rows = rows_of_traffic(measured_traffic(large), Settings(topics=(pattern,)))
+    expected = [(3.0, 2.0, 5.0), (3.0, 2.0, 5.0), (1.0, 0.0, 20.0)]
+    assert [(row.weight, row.min_rate_hz, row.desired_rate_hz) for row in rows] == expected
+
+
 def test_an_assumed_topic_makes_the_row_of_a_measured_one():
     """The same payload and source with one remote reader give the same row, offline and in the daemon."""
-    preferences = TopicSettings(weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
-    settings = Settings(topics={"/scan": preferences})
+    preferences = TopicSettings(name="/scan", weight=2.0, max_rate_hz=15.0, payload_bytes=6000.0, source_rate_hz=20.0)
+    settings = Settings(topics=(preferences,))
     assert rows_of_traffic(assumed_traffic(settings), settings) == rows_of_traffic(
         measured_traffic([driver()]), settings
     )
@@ -74,7 +85,7 @@ def test_local_and_unmeasured_topics_get_no_row():
 )
 def test_a_topic_wants_no_more_than_its_source_publishes(source_hz, min_hz, max_hz, floor_hz, desired_hz):
     """Neither floor nor desired rate exceeds the source; a silent topic keeps its floor."""
-    settings = Settings(default_topic=TopicSettings(min_rate_hz=min_hz, max_rate_hz=max_hz))
+    settings = Settings(defaults=DefaultPreferences(min_rate_hz=min_hz, max_rate_hz=max_hz))
     (row,) = rows_of_traffic(measured_traffic([driver(source_rate_hz=source_hz)]), settings)
     assert (row.min_rate_hz, row.desired_rate_hz) == (floor_hz, desired_hz)
 

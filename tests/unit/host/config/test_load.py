@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, example, given
 from hypothesis import strategies as st
 
-from arpd.host.config.load import load_settings, needs_restart
-from arpd.host.config.schema import SECTIONS, flatten, spelled
+from arpd.host.config.keys import SECTIONS, flatten, kinds_of, needs_restart, spelled
+from arpd.host.config.load import load_settings
+from arpd.model.endpoints import Overflow
 from arpd.model.errors import ConfigError
 from arpd.model.settings import (
     Backend,
+    DefaultPreferences,
     GovernorSettings,
     GraphSettings,
     HttpSettings,
     LinkSettings,
     OnLost,
     OnStop,
-    Overflow,
     Policy,
+    Preferences,
     ProgramSettings,
     RelaySettings,
+    RelayTopic,
     Settings,
     TopicGroup,
     TopicSettings,
@@ -77,7 +79,7 @@ topics:
 relay:
   link_domain: 77
   robot: robot1.local
-  base: "fd00::2"
+  base: 10.0.0.2
   namespace: /r1
   to_base: [/camera/**, /scan]
   to_robot: []
@@ -85,22 +87,14 @@ relay:
   services: ["/map_server/*"]
   actions: [/go]
   call_timeout: 2s
-  groups: [{topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info], by: stamp}]
+  groups: [{topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info]}]
   prefix: /air
   topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]
 on_stop: keep
 on_lost: baseline
 lost_after: 1min
 """
-    default_topic = TopicSettings(
-        weight=2.0,
-        min_rate_hz=2.0,
-        max_rate_hz=20.0,
-        min_depth=2,
-        max_depth=50,
-        latency_budget_s=None,
-        is_floor_inherited=True,
-    )
+    shared = {"weight": 2.0, "max_rate_hz": 20.0, "min_depth": 2, "max_depth": 50, "latency_budget_s": None}
     assert load(text) == Settings(
         link=LinkSettings(
             interface="wlan0",
@@ -115,26 +109,19 @@ lost_after: 1min
         governor=GovernorSettings(hold_s=1.0, dwell_s=3.0, debounce_s=0.25),
         http=HttpSettings(host="::1", port=9000),
         graph=GraphSettings(sensing_topics=11, actuation_topics=1),
-        default_topic=default_topic,
-        topics={
-            "/camera": replace(default_topic, max_rate_hz=None, latency_budget_s=0.2),
-            "/scan": replace(
-                default_topic,
-                weight=4.0,
-                min_rate_hz=3.0,
-                is_floor_inherited=False,
-                payload_bytes=6000.0,
-                source_rate_hz=12.5,
+        defaults=DefaultPreferences(min_rate_hz=2.0, **shared),
+        topics=(
+            TopicSettings(name="/camera", **shared | {"max_rate_hz": None, "latency_budget_s": 0.2}),
+            TopicSettings(
+                name="/scan", min_rate_hz=3.0, payload_bytes=6000.0, source_rate_hz=12.5, **shared | {"weight": 4.0}
             ),
-        },
+        ),
         relay=RelaySettings(
-            topics=("/camera", "/scan"),
+            topics=(RelayTopic(name="/camera", overflow=Overflow.QUEUE, depth=20), RelayTopic(name="/scan")),
             prefix="/air",
-            overflow={"/camera": Overflow.QUEUE},
-            depths={"/camera": 20},
             link_domain=77,
             robot="robot1.local",
-            base="fd00::2",
+            base="10.0.0.2",
             namespace="/r1",
             to_base=("/camera/**", "/scan"),
             to_robot=(),
@@ -175,11 +162,11 @@ def test_the_shipped_file_documents_every_key():
             comment = line.strip()
     defaults = flatten(Settings())
     for path, model in SECTIONS.items():
-        for key, kind in model.kinds().items():
+        for key, kind in kinds_of(model).items():
             dotted = ".".join((*path, key))
             if path[-1:] in {("topics",), ("groups",)}:
                 assert f"{key}:" in SHIPPED.read_text()
-                if path == ("topics",) and key not in {"name", *SECTIONS["defaults",].kinds()}:
+                if path == ("topics",) and key not in {"name", *kinds_of(SECTIONS["defaults",])}:
                     described = rf"(?m)^#   {key} .* default: measured \| range: {re.escape(kind.range)}$"
                     assert re.search(described, SHIPPED.read_text()), dotted
                 continue
@@ -193,9 +180,10 @@ def test_the_examples_in_the_shipped_file_load(load):
     """The examples in comments load once they are uncommented."""
     blocks = re.findall(r"(?m)^ *#     topics:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
     topics, relayed = (re.sub(r"(?m)^ *#     ", "  ", block) for block in blocks)
-    camera = load(topics).topics["/link/camera/image/compressed"]
+    loaded = load(topics)
+    camera = loaded.topics[0]
     assert (camera.latency_budget_s, camera.payload_bytes, camera.source_rate_hz) == (0.2, 30_000.0, 30.0)
-    assert load(f"relay:\n{relayed}").relay.topics == ("/camera/image/compressed",)
+    assert load(f"relay:\n{relayed}").relay.topic_names == ("/camera/image/compressed",)
     (block,) = re.findall(r"(?m)^ *#     groups:\n(?:^ *#       .*\n)+", SHIPPED.read_text())
     groups = re.sub(r"(?m)^ *#     ", "  ", block)
     (group,) = load(f"relay:\n  link_domain: 77\n  base: 10.0.0.2\n{groups}").relay.groups
@@ -218,9 +206,9 @@ ONE_FAULT = [
     ("http:\n  port: '9464'\n", "2:9: http.port", "not a whole number; write 0..65535"),
     ("http: {port: }", "1:13: http.port", "nothing is not a whole number"),
     ("http: {port: " + "9" * 5000 + "}", "1:14: http.port", "not a whole number"),
-    ("defaults: {weight: .inf}", "1:20: defaults.weight", "not a finite number; write 0.001..1000"),
-    ("link: {headroom: 1.5}", "1:18: link.headroom", "1.5 is above 1; write 0.05..1"),
-    ("http: {port: -1}", "1:14: http.port", "-1 is below 0; write 0..65535"),
+    ("defaults: {weight: .inf}", "1:20: defaults.weight", "inf is out of range; write 0.001..1000"),
+    ("link: {headroom: 1.5}", "1:18: link.headroom", "1.5 is out of range; write 0.05..1"),
+    ("http: {port: -1}", "1:14: http.port", "-1 is out of range; write 0..65535"),
     ("governor: {hold: 2}", "1:18: governor.hold", "2 has no unit"),
     ("link: {capacity: 5parsec}", "1:18: link.capacity", "'parsec' is not a unit"),
     ("link: {capacity: 1bit}", "1:18: link.capacity", "1bit is out of range; write 8kbit..100gbit"),
@@ -234,9 +222,10 @@ ONE_FAULT = [
     ("\nlinks: {}\n", "2:1: links", "did you mean link?"),
     ("port: 80\n", "1:1: port", "did you mean http.port?"),
     ("defaults: {payload: 1kB}", "1:12: defaults.payload", "did you mean topics.payload?"),
-    ("governor: {deadband: 0.1}", "1:12: governor.deadband", "was removed"),
+    ("governor: {deadband: 0.1}", "1:12: governor.deadband", "unknown key; known here: hold, dwell, debounce"),
     ("http: {zzz: 1}", "1:8: http.zzz", "host, port, web_config"),
-    ("http: {1: 2}", "1:8: http", "has a number for a key"),
+    ("http: {1: 2}", "1:8: http.1", "unknown key"),
+    ("http: {[a]: 2}", "1:8: yaml", "a list cannot be a key"),
     ("http:\n", "1:6: http", "has no value"),
     ("http: [1]", "1:7: http", "a list is not a mapping"),
     ("topics: {name: /a}", "1:9: topics", "a mapping is not a list"),
@@ -248,19 +237,21 @@ ONE_FAULT = [
     (
         "topics:\n    - name: /a\n      max_rate_hz: 20.0\n      min_rate_hz: 50.0\n",
         "4:20: topics[0].min_rate_hz",
-        "50.0 is above max_rate_hz 20.0",
+        "50 is above max_rate_hz 20; lower it or raise max_rate_hz",
     ),
     (
         "defaults: {max_rate_hz: 20}\ntopics:\n- {name: /a, min_rate_hz: 50}",
         "3:27: topics[0].min_rate_hz",
-        "50.0 is above max_rate_hz 20.0 (the default)",
+        "50 is above max_rate_hz 20",
     ),
     (
         "topics:\n- {name: /a, max_rate_hz: 0.5}",
         "2:27: topics[0].max_rate_hz",
-        "0.5 is below min_rate_hz 1.0 (the default)",
+        "0.5 is below min_rate_hz 1",
     ),
     ("defaults: {min_depth: 9, max_depth: 3}", "1:23: defaults.min_depth", "9 is above max_depth 3"),
+    ("topics: [{name: /a/**, payload: 1kB}]", "1:33: topics[0].payload", "belongs to one topic; name it without stars"),
+    ("topics: [{name: '/a**'}]", "1:17: topics[0].name", "not an absolute ROS name or a pattern of such"),
     # the relay
     ("relay: {topics: [{name: /link/scan}]}", "1:25: relay.topics[0].name", "write /scan"),
     (
@@ -268,27 +259,23 @@ ONE_FAULT = [
         "1:54: relay.topics[1].name",
         "lies under relay.prefix /a/b, where relayed topics go; write /c/d",
     ),
-    ("relay: {topics: [{name: /link}]}", "1:25: relay.topics[0].name", "is relay.prefix itself"),
+    ("relay: {topics: [{name: /link}]}", "1:25: relay.topics[0].name", "lies under relay.prefix"),
     (
         f"relay: {{topics: [{{name: /{'a' * 244}}}]}}",
         "1:25: relay.topics[0].name",
         "250 characters long; ROS allows 247",
     ),
-    (
-        f"relay: {{link_domain: 77, robot: a, namespace: /r1, topics: [{{name: /{'a' * 244}}}]}}",
-        "1:68: relay.topics[0].name",
-        "248 characters long; ROS allows 247",
-    ),
     ("relay:\n  link_domain: 77\n", "2:16: relay.link_domain", "give relay.robot or relay.base"),
     ("relay: {robot: 10.0.0.1}", "1:16: relay.robot", "needs relay.link_domain"),
     ("relay:\n  groups:\n  - topics: [/a, /b]\n", "3:3: relay.groups", "needs relay.link_domain"),
     ("relay: {link_domain: 77, robot: 10.0.0.256}", "1:33: relay.robot", "not an address"),
+    ("relay: {link_domain: 77, base: fd00::1}", "1:32: relay.base", "no IPv4 address, and arpd's link is IPv4"),
     (ENDS + "namespace: r1}", "1:47: relay.namespace", "write /r1"),
     (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "never crosses the link"),
     (ENDS + "deny: /x}", "1:42: relay.deny", "'/x' is not a list"),
-    (ENDS + "to_base: [/a, /b**]}", "1:50: relay.to_base[1]", "'/b**' is not a pattern"),
+    (ENDS + "to_base: [/a, /b**]}", "1:50: relay.to_base[1]", "'/b**' is not an absolute ROS name or a pattern"),
     (ENDS + "services: [a/**]}", "1:47: relay.services[0]", "write /a/**"),
-    (ENDS + "actions: [1]}", "1:46: relay.actions[0]", "1 is not a pattern"),
+    (ENDS + "actions: [1]}", "1:46: relay.actions[0]", "1 is not an absolute ROS name"),
     (
         f"relay: {{link_domain: 77, robot: a, deny: [/{'a' * 247}]}}",
         "1:43: relay.deny[0]",
@@ -296,12 +283,12 @@ ONE_FAULT = [
     ),
     # groups
     (ENDS + "groups: [{topics: [/left/image, /right/**]}]}", "1:68: relay.groups[0].topics[1]", "is a pattern"),
-    (ENDS + "groups: [{topics: [/left/image]}]}", "1:54: relay.groups[0].topics", "at least two"),
-    (ENDS + "groups: [{topics: [/a, /b], by: time}]}", "1:68: relay.groups[0].by", "write stamp"),
+    (ENDS + "groups: [{topics: [/left/image]}]}", "1:54: relay.groups[0].topics", "fewer than two topics"),
+    (ENDS + "groups: [{topics: [/a, /b], by: time}]}", "1:64: relay.groups[0].by", "unknown key"),
     (
         "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - topics: [/a, /b]\n  - topics: [/c, /a]\n",
         "6:18: relay.groups[1].topics[1]",
-        "already in a group on line 5",
+        "already given on line 5",
     ),
     (
         ENDS + "groups: [{name: /g, topics: [/a, /b]},\n{name: /g, topics: [/c, /d]}]}",
@@ -371,8 +358,8 @@ defaults: {min_depth: 5, max_depth: 2}
 @pytest.mark.parametrize(
     ("path", "wrong"),
     [
-        ("missing.yaml", "does not exist"),
-        (".", "is a directory"),
+        ("missing.yaml", "No such file"),
+        (".", "Is a directory"),
         ("arpd.yaml/x", "cannot be read"),
         ("a\0b", "cannot be read"),
     ],
@@ -443,4 +430,29 @@ def test_the_policy_is_one_of_two(load):
     assert load("program: {backend: closed_form}").program.policy is Policy.PER_TOPIC
     loaded = load("program: {policy: uniform}\ndefaults: {weight: 2}\ntopics: [{name: /a, weight: 9}]")
     assert loaded.program.policy is Policy.UNIFORM
-    assert loaded.topic("/a") == loaded.topic("/b") == TopicSettings(weight=2.0, is_floor_inherited=True)
+    assert loaded.topic("/a") == loaded.topic("/b") == Preferences(weight=2.0)
+
+
+def test_the_most_specific_entry_holds_for_a_topic(load):
+    """A pattern sets weight, floor and cap of all it matches; the entry with the most characters besides stars wins."""
+    settings = load("""
+defaults: {max_depth: 7, min_rate_hz: 2}
+topics:
+  - {name: /camera/**, weight: 2, max_rate_hz: 5}
+  - {name: /**, weight: 3}
+  - {name: /camera/left/image, weight: 4, min_rate_hz: 1}
+  - {name: /camera/*/image, weight: 5}
+  - {name: /camera/*, weight: 6}
+""")
+    weights = {
+        "/camera/left/image": 4,
+        "/camera/right/image": 5,
+        "/camera/right/info": 2,
+        "/camera/info": 6,
+        "/camera": 3,
+        "/x/camera/info": 3,
+    }
+    assert {name: settings.topic(name).weight for name in weights} == weights
+    info, own = settings.topic("/camera/right/info"), settings.topic("/camera/left/image")
+    assert (info.max_rate_hz, info.max_depth, info.min_rate_hz, own.min_rate_hz) == (5.0, 7, None, 1.0)
+    assert load("topics: [{name: /a/*, weight: 2}]").topic("/b") == Preferences()

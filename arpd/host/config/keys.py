@@ -1,0 +1,92 @@
+"""The keys of arpd.yaml, as `Settings` declares them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+
+from arpd.model.kinds import Kind
+from arpd.model.settings import Section, Settings, key_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from arpd.model.kinds import Written
+
+_RESTART_ONLY = ("link.interface", "http.", "relay.")
+_ABSENT = "absent"
+_KEYS: dict[type[Section], Mapping[str, tuple[str, Any]]] = {}
+
+
+def keys_of(section: type[Section]) -> Mapping[str, tuple[str, Any]]:
+    """Return the attribute of every key, and its `Kind` or section."""
+    if section not in _KEYS:
+        hints = get_type_hints(section, include_extras=True)
+        names = [each.name for each in fields(section) if each.init]  # type: ignore[arg-type]
+        _KEYS[section] = {key_of(name): (name, _kind(hints[name])) for name in names}
+    return _KEYS[section]
+
+
+def _kind(hint: Any) -> Any:
+    if get_origin(hint) is Annotated:
+        return hint.__metadata__[0]
+    return get_args(hint)[0] if get_args(hint) else hint
+
+
+def kinds_of(section: type[Section]) -> dict[str, Kind]:
+    """Return the kind of every key that holds a value."""
+    return {key: kind for key, (_, kind) in keys_of(section).items() if isinstance(kind, Kind)}
+
+
+def _sections(section: type[Section], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], type[Section]]]:
+    yield path, section
+    for key, (_, kind) in keys_of(section).items():
+        if not isinstance(kind, Kind):
+            yield from _sections(kind, (*path, key))
+
+
+# Every section by its location, without list positions.
+SECTIONS: Mapping[tuple[str, ...], type[Section]] = dict(_sections(Settings))
+
+
+def flatten(settings: Settings) -> dict[str, Written]:
+    """Return every key with its value as the file writes it: ``{"link.capacity": "20mbit", …}``."""
+    return dict(_rows(settings, ""))
+
+
+def _rows(section: Section, path: str) -> Iterator[tuple[str, Written]]:
+    for key, (attribute, kind) in keys_of(type(section)).items():
+        value = getattr(section, attribute)
+        if isinstance(value, Section):
+            yield from _rows(value, f"{path}{key}.")
+        elif not isinstance(kind, Kind):
+            for item in value:
+                yield from _rows(item, f"{path}{key}[{item.name}].")
+        elif key != "name" and (value is not None or kind.word):
+            yield f"{path}{key}", kind.write(value)
+
+
+def spelled(value: Written) -> str:
+    """Return a value on one line, as the file has it: ``[/scan, /camera/**]``."""
+    return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
+
+
+def describe_change(old: Settings, new: Settings) -> list[str]:
+    """Return one line ``key: old -> new`` for each key that differs."""
+    before, after = ({key: spelled(value) for key, value in flatten(settings).items()} for settings in (old, new))
+    return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
+
+
+def restart_only_changes(old: Settings, new: Settings) -> list[str]:
+    """Return the keys that differ but are read at start only, so that a reload cannot apply them."""
+    return [key for key in _changed(old, new) if needs_restart(key)]
+
+
+def needs_restart(key: str) -> bool:
+    """Return whether a change of the dotted key takes effect only after a restart."""
+    return key.startswith(_RESTART_ONLY)
+
+
+def _changed(old: Settings, new: Settings) -> Iterator[str]:
+    before, after = flatten(old), flatten(new)
+    return (key for key in before | after if before.get(key) != after.get(key))
