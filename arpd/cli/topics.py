@@ -142,15 +142,10 @@ def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
         progress(f"measuring for {options.seconds:g} s", total=options.seconds) as shown,
         ros_node(f"arpd_topics_{os.getpid()}") as node,
     ):
-        from arpd.ros.topic_measuring import list_topics
+        from arpd.ros.topic_measuring import TopicSurvey
 
-        return list_topics(
-            node,
-            seconds=options.seconds,
-            prefix=relay.link_prefix,
-            is_of_interest=is_of_interest,
-            on_progress=shown.reach,
-        )
+        survey = TopicSurvey(node, prefix=relay.link_prefix, is_of_interest=is_of_interest, on_progress=shown.reach)
+        return survey.run(options.seconds)
 
 
 def _nothing_found(listed: TopicList) -> str:

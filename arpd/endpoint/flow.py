@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from arpd.endpoint.lane import Lane
-from arpd.endpoint.meters import DeadlineCount
 from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import FlowState, Overflow, SwapResult, WithheldCause, Writer, WriterQos
 from arpd.model.plan import TopicPlan
@@ -83,7 +82,9 @@ class Flow(Generic[W]):
         )
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._withheld: Counter[str] = Counter()  # behind the queue, by cause
-        self._deadlines = DeadlineCount(self._swap.current)
+        self._missed = (
+            -self._writer.deadlines_missed()
+        )  # of writers before, less those of this one until it was in force
         self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
         self._history: deque[bytes] | None = None
@@ -169,7 +170,7 @@ class Flow(Generic[W]):
                 rate_hz=self._plan.rate_hz,
                 depth=self.qos.depth,
                 deadline_ns=self.qos.deadline_ns,
-                deadlines_missed=self._deadlines.missed,
+                deadlines_missed=self._missed + self._writer.deadlines_missed(),
                 swaps_by_result=dict(self._swaps),
                 swaps_begun=ledger.begun,
                 swap_seconds_by_phase=dict(ledger.seconds_by_phase),
@@ -206,7 +207,7 @@ class Flow(Generic[W]):
                 self._writer, self._awaits_silence = self._swap.current, self._swap.awaits_silence
             if self._writer is before:
                 return
-            self._deadlines.follow(self._writer)
+            self._missed += before.deadlines_missed() - self._writer.deadlines_missed()
             if self._history is not None:
                 self._replay = deque(self._history)
                 self._history = deque(self._history, maxlen=self._swap.qos.depth)

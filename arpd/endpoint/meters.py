@@ -1,10 +1,9 @@
-"""Meters of one endpoint: the rate of its samples, and the deadlines it missed."""
+"""The rate of samples."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Protocol
 
 _WINDOW_S = 5.0
 _SETTLE_S = 0.5  # a shorter span shows no rate
@@ -53,36 +52,3 @@ class SampleRate:
         if now_s - last_s > _SILENT_PERIODS * span_s / samples + _SETTLE_S:
             return 0.0
         return samples / span_s if span_s > 0 and now_s - since_s >= _SETTLE_S else 0.0
-
-
-class DeadlineSource(Protocol):
-    """A writer, or a reader."""
-
-    def deadlines_missed(self) -> int:
-        """Count the deadlines missed since it was made; a destroyed endpoint keeps its last known count."""
-
-
-class DeadlineCount:
-    """Adds up the deadlines that each endpoint misses while it is in force.
-
-    A writer that a swap prepares or retires gets no samples, so the middleware counts misses that are none.
-
-    Parameters
-    ----------
-    endpoint : the one in force
-    """
-
-    def __init__(self, endpoint: DeadlineSource) -> None:
-        self._endpoint = endpoint
-        self._before = -endpoint.deadlines_missed()  # misses of earlier endpoints, less those of this one until now
-
-    @property
-    def missed(self) -> int:
-        """Deadlines missed so far."""
-        return self._before + self._endpoint.deadlines_missed()
-
-    def follow(self, endpoint: DeadlineSource) -> None:
-        """Count the misses of this endpoint from now on."""
-        if endpoint is not self._endpoint:
-            self._before = self.missed - endpoint.deadlines_missed()
-            self._endpoint = endpoint

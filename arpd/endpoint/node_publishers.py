@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
 from arpd.ros.bounds import checked_row
-from arpd.ros.daemon_messages import DaemonMessages
 from arpd.ros.events import InvalidHandle, no_publisher_events
-from arpd.ros.names import PUBLISHERS_TOPIC
+from arpd.ros.inbox import Inbox, price_inbox
+from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
+from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, decode_plan
 from arpd.ros.profile import missing_here, warn_once
+from arpd.ros.raw_reader import octets
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ _TELL_S = 1.0
 # Least time between two snapshots: 0.2 s, and what keeps a thousand publishers whose swaps end at any moment cheap.
 _EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_CHECK_S, _RETRY_S = 1.0, 0.1
+_PLANS_HZ = 10.0  # of one daemon; arpd sends 5 a second at most
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
 _WARN_EVERY_S, _WARN_OF_MANY_S = 5.0, 60.0
 _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
@@ -104,19 +106,32 @@ class NodePublishers:
         self._answer = NO_PLAN
         self._heard_s = -math.inf  # last sign of the daemon
         self._price: Price | None = None  # the last one; it stays when the daemon falls silent, as the plan does
-        self._check_s = clock()
         self._told_s = -math.inf
         self._has_news = False
         # Only Fast DDS has profiles, and only its writers can be swapped.
-        self._lacks_profile = current_rmw().can_swap and bool(missing := missing_here())
+        self._lacks_profile = current_rmw().is_fast_dds and bool(missing := missing_here())
         if self._lacks_profile:
             warn_once(node.get_logger(), missing)
         self._lock = threading.RLock()  # guards plan, price and who has them
         self._snapshots = node.create_publisher(
             UInt8MultiArray, PUBLISHERS_TOPIC, _NEWEST, event_callbacks=no_publisher_events()
         )
-        self._messages = DaemonMessages(
-            node, self, warn=lambda words: node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
+        # Read in a thread of arpd's own: no callback of the application delays them.
+        warn = node.get_logger().warning
+        self._inboxes = (
+            price_inbox(node, _NEWEST, deliver=lambda _daemon, price: self.take_price(price), clock=clock, warn=warn),
+            Inbox(
+                node,
+                UInt8MultiArray,
+                PLAN_TOPIC,
+                PLAN_QOS,
+                decode=lambda sample: decode_plan(octets(sample.data)),
+                deliver=lambda _daemon, plan: self.take_plan(plan),
+                most_bytes=MOST_BYTES,
+                most_hz=_PLANS_HZ,
+                clock=clock,
+                warn=warn,
+            ),
         )
         self.thread.wake(self)
 
@@ -155,28 +170,25 @@ class NodePublishers:
 
     def service(self, now_s: float) -> float:
         """Do what is due; return when to call again (s)."""
+        if now_s < self._tell_s:
+            return self._tell_s
+        self._told_s, self._has_news = now_s, False
         try:
-            if now_s >= self._check_s:
-                self._check_s = now_s + _CHECK_S
-                with self._lock:
-                    self._note_silence(now_s)
-                    self._expire_plan()
-                self._warn_of_large()
-            if now_s >= self._tell_s:
-                self._told_s, self._has_news = now_s, False
-                self._tell()
-        except InvalidHandle:
-            if not self._has_node:
-                self._messages.destroy()
-                raise
-            return now_s + _RETRY_S  # only a publisher was destroyed, between two looks
+            with self._lock:
+                self._note_silence(now_s)
+                self._expire_plan()
+            self._warn_of_large()
+            self._tell()
+        except InvalidHandle:  # the node is gone; a publisher alone raises none here
+            for inbox in self._inboxes:
+                inbox.destroy()
+            raise
         except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the snapshots
             self._node.get_logger().error(
                 f"the daemon could not be told of the publishers: {error}; arpd tries again",
                 throttle_duration_sec=_WARN_EVERY_S,
             )
-            return now_s + _RETRY_S
-        return min(self._check_s, self._tell_s)
+        return self._tell_s
 
     @property
     def _tell_s(self) -> float:
@@ -204,15 +216,6 @@ class NodePublishers:
             relay=self.relay,
         )
         self._snapshots.publish(UInt8MultiArray(data=array("B", message)))
-
-    @property
-    def _has_node(self) -> bool:
-        """False after the application destroyed the node."""
-        try:
-            with self._node.handle:
-                return True
-        except InvalidHandle:
-            return False
 
     def take_price(self, price: Price) -> None:
         """Take the price of the link."""
@@ -316,7 +319,7 @@ class NodePublishers:
 
 def _started(context: Context, clock: Callable[[], float]) -> WritingThread:
     """Return the thread of a participant, which ends with it."""
-    thread = WritingThread(PacedQueue(Whole()), name="arpd-writing", is_alive=context.ok, clock=clock)
+    thread = WritingThread(PacedQueue(), name="arpd-writing", is_alive=context.ok, clock=clock)
     thread.start()
     context.on_shutdown(thread.stop)
     return thread

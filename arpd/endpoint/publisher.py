@@ -26,7 +26,7 @@ from arpd.model.endpoints import (
 from arpd.model.plan import keeps_its_readers
 from arpd.ros.events import InvalidHandle
 from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
-from arpd.ros.rmw import current_rmw, lasting_refusal
+from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,7 +99,6 @@ class AdaptivePublisher:
         self._swap_transient_local = swap_transient_local
         self._rmw = current_rmw()
         self._overrides = without_ours(qos_overriding_options)
-        self._clock = clock
         self._price: Price | None = None
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._shared = NodePublishers.of(node)
@@ -227,10 +226,9 @@ class AdaptivePublisher:
         depth = self._baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
         qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
         self._clamp = clamp if is_clamped else NO_REFUSAL
-        is_fixed = self._is_latched and not self._swap_transient_local
         if qos == self._flow.qos:
             self._refusal = NO_REFUSAL
-        elif refusal := lasting_refusal(self._rmw, latched=f"{self._resolved} {_LATCHED}" if is_fixed else ""):
+        elif (refusal := self._lasting_refusal()).words:
             self._refusal, qos = refusal, self._flow.qos
         self._flow.retune(plan, qos=qos)
         self._thread.retune(self._flow.lane, plan, self._price)
@@ -338,6 +336,14 @@ class AdaptivePublisher:
     def _is_current(self, writer: RosWriter) -> bool:
         flow = getattr(self, "_flow", None)
         return flow is None or flow.writer is writer  # inside Flow's constructor there is only the first writer
+
+    def _lasting_refusal(self) -> Refusal:
+        """Return why the writer is never replaced, no words if it may be."""
+        if words := self._rmw.refusal:
+            return Refusal(RefusalReason.MIDDLEWARE, words)
+        if self._is_latched and not self._swap_transient_local:
+            return Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self._resolved} {_LATCHED}")
+        return NO_REFUSAL
 
     def _lost_to(self, qos: WriterQos) -> list[str]:
         """Name the readers that the writer in force serves and a writer with this QoS would not."""

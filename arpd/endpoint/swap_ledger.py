@@ -37,17 +37,19 @@ class SwapLedger:
         """Begin a swap; `enter` or `finish` comes next."""
         self.begun += 1
         self._seconds = defaultdict(float)
-        self._phase = None
 
-    def enter(self, phase: SwapPhase, now_s: float) -> None:
-        """Count the phase that ends, and begin the next."""
-        self._charge(now_s)
-        self._phase = phase
+    def enter(self, phase: SwapPhase | None, now_s: float) -> None:
+        """Count the phase that ends, and begin the next; None = there is none."""
+        # Two threads read the clock before they take the lock, so a later time may arrive first.
+        seconds = max(0.0, now_s - self._at_s)
+        if self._phase is not None:
+            self._seconds[self._phase.value] += seconds
+            self.seconds_by_phase[self._phase.value] += seconds
+        self._phase, self._at_s = phase, max(now_s, self._at_s)
 
     def finish(self, result: SwapResult, qos: WriterQos, now_s: float) -> None:
         """Count the last phase, and record the swap."""
-        self._charge(now_s)
-        self._phase = None
+        self.enter(None, now_s)
         self.last = SwapRecord(
             number=self.begun,
             result=result.value,
@@ -59,13 +61,3 @@ class SwapLedger:
     def drain(self, phase: SwapPhase, seconds: float) -> None:
         """Count the time an old writer took to drain; another swap may be under way."""
         self.seconds_by_phase[phase.value] += max(0.0, seconds)
-
-    def _charge(self, now_s: float) -> None:
-        # Two threads read the clock before they take the lock, so a later time may arrive first.
-        seconds = now_s - self._at_s
-        if seconds <= 0:
-            return
-        self._at_s = now_s
-        if self._phase is not None:
-            self._seconds[self._phase.value] += seconds
-            self.seconds_by_phase[self._phase.value] += seconds

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+from contextlib import suppress
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ from rclpy.serialization import serialize_message
 
 from arpd.model.endpoints import SwapResult, WriterQos
 from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
-from arpd.ros.events import MissedDeadlines, passing_on, status_of
+from arpd.ros.events import InvalidHandle, status_of
 from arpd.ros.graph import deadline_ns_of
 from arpd.ros.rcl import rcl
 
@@ -58,7 +60,8 @@ class RosWriter:
         self._is_current = is_current
         self._disconnected = disconnected
         self._are_reliable = are_reliable
-        self._deadlines = MissedDeadlines(QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
+        self._missed = 0  # deadlines; Fast DDS counts them from the first sample on
+        self._hears_of_deadlines = getattr(event_callbacks, "deadline", None) is not None
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
         self._outlet = rcl().outlet(self.publisher.handle)
@@ -100,7 +103,11 @@ class RosWriter:
 
     def deadlines_missed(self) -> int:
         """Count the offered deadlines missed since it was made; a destroyed writer keeps its last known count."""
-        return self._deadlines.count(self.publisher) if self._has_deadline else 0
+        if self._has_deadline and not self._hears_of_deadlines:
+            with suppress(InvalidHandle):
+                status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
+                self._missed = self._missed if status is None else int(status.total_count)
+        return self._missed
 
     def destroy(self) -> None:
         """Destroy the writer."""
@@ -110,12 +117,27 @@ class RosWriter:
         """Return the application's callbacks, each silent unless this writer is current."""
         # No default callbacks: the executor would check each of them in every turn, only to log a warning.
         filtered = PublisherEventCallbacks(use_default_callbacks=False)
-        for event in _EVENTS:
-            callback = getattr(callbacks, event, None)
+        for name in _EVENTS:
+            callback = getattr(callbacks, name, None)
             if callback is not None:
-                wrap = self._deadlines.counting if event == "deadline" else passing_on
-                setattr(filtered, event, wrap(callback, if_=lambda _event: self._is_current(self)))
+                setattr(filtered, name, self._passing_on(callback, is_deadline=name == "deadline"))
         return filtered
+
+    def _passing_on(self, callback: Callable[[Any], Any], *, is_deadline: bool) -> Callable[[Any], Any]:
+        def may_hear(event: Any) -> bool:
+            if is_deadline:
+                self._missed = int(event.total_count)  # `status_of` would take the event from the application
+            return self._is_current(self)
+
+        def pass_on(event: Any) -> None:
+            if may_hear(event):
+                callback(event)
+
+        async def pass_on_later(event: Any) -> None:
+            if may_hear(event):
+                await callback(event)
+
+        return pass_on_later if inspect.iscoroutinefunction(callback) else pass_on
 
 
 def swap_failure(topic: str, result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:

@@ -6,11 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane
-from arpd.endpoint.queue import PacedQueue
 from arpd.model.wire import wire_size
-from arpd.relay.chunks import Chunks
 from arpd.relay.envelope import WRAP, decode_chunk
 from arpd.relay.flight import Flight, Received
+from arpd.relay.link_queue import LinkQueue
 from arpd.relay.partner import EVERY_S
 from arpd.relay.signs import SIGN_BYTES, Sign, decode_sign, encode_sign
 
@@ -41,7 +40,7 @@ class LinkEnd:
         self._session = session
         self._flight = Flight()
         self._received = Received()
-        self.queue = PacedQueue(Chunks(session, self._flight), None if together is None else Lane(together))
+        self.queue = LinkQueue(session, self._flight, None if together is None else Lane(together))
         self._sign_s = self._probe_s = now_s
         self._partner = 0  # session of the other end
         self._received_bytes = 0.0  # on the link

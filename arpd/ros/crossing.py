@@ -29,19 +29,14 @@ class Crossing:
     ----------
     direction : a topic with writers on both sides counts as sensing
     remote_readers : participants across the link from a writer that read it; each receives a unicast copy
-    requests : node and requested deadline of every reader (ns, 0 = infinite)
+    requested_ns : tightest deadline that a reader requests and a writer can keep, 0 = none (ns)
     writers : nodes that write it; the empty name is a node whose name is unknown
     """
 
     direction: Direction
     remote_readers: int
-    requests: tuple[tuple[str, int], ...] = ()
+    requested_ns: int = 0
     writers: frozenset[str] = frozenset()
-
-    @property
-    def tightest_request_ns(self) -> int:
-        """Tightest deadline that a reader requests and a writer can keep, 0 = none (ns)."""
-        return min((ns for _, ns in self.requests if ns >= LEAST_DEADLINE_NS), default=0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -79,7 +74,7 @@ class Graph:
         return {
             "direction": crossing.direction,
             "remote_readers": crossing.remote_readers,
-            "requested_deadline_ns": crossing.tightest_request_ns,
+            "requested_deadline_ns": crossing.requested_ns,
         }
 
 
@@ -136,7 +131,7 @@ def crossing(*, writers: Collection[Endpoint], readers: Collection[Endpoint], ro
     return Crossing(
         direction=direction,
         remote_readers=copies if direction is not Direction.LOCAL else 0,
-        requests=tuple(sorted((reader.node, reader.deadline_ns) for reader in readers)),
+        requested_ns=min((each.deadline_ns for each in readers if each.deadline_ns >= LEAST_DEADLINE_NS), default=0),
         writers=_nodes(writers),
     )
 

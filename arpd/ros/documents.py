@@ -8,35 +8,49 @@ import zlib
 from typing import Any
 
 MOST_INTEGER = 2**63 - 1
-_ZLIB = 0x78  # its first byte; JSON begins otherwise
+_RAW = -15  # deflate without zlib's header and checksum
 
 
-def pack(document: Any) -> bytes:
-    """Return a document as the bytes of a message."""
-    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode(errors="replace")
-    return min(text, zlib.compress(text), key=len)
-
-
-def unpack(data: bytes, *, most_bytes: int) -> dict[str, Any]:
-    """Return the object that a message holds.
+def pack(document: Any, *, likely: bytes = b"") -> bytes:
+    """Return a document as the bytes of a message.
 
     Parameters
     ----------
-    most_bytes : of its text
+    likely : texts that such a document has, which cost next to nothing then (zlib's dictionary)
+    """
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode(errors="replace")
+    packer = zlib.compressobj(wbits=_RAW, zdict=likely)
+    return min(text, packer.compress(text) + packer.flush(), key=len)
+
+
+def expand(data: bytes, *, most_bytes: int, likely: bytes = b"") -> bytes:
+    """Return the text of a message.
+
+    Parameters
+    ----------
+    most_bytes : of that text
+    likely : as in `pack`
 
     Raises
     ------
     ValueError
-        If the bytes are no JSON object, or a longer one.
+        If it is longer, or no such message.
     """
+    if data[:1] != b"{":
+        try:
+            data = zlib.decompressobj(_RAW, zdict=likely).decompress(data, most_bytes + 1)
+        except zlib.error as fault:
+            raise ValueError(f"no document: {fault}") from fault
+    if len(data) > most_bytes:
+        raise ValueError(f"a document of more than {most_bytes} bytes")
+    return data
+
+
+def unpack(data: bytes, *, most_bytes: int) -> dict[str, Any]:
+    """Return the object that a message holds; arguments and errors are those of `expand`."""
     try:
-        if data[:1] == bytes((_ZLIB,)):
-            expand = zlib.decompressobj()
-            data = expand.decompress(data, most_bytes + 1)
-        if len(data) > most_bytes:
-            raise ValueError(f"a document of more than {most_bytes} bytes")
-        document = json.loads(data, parse_constant=_refuse_constant)
-    except (zlib.error, RecursionError) as fault:
+        document = json.loads(expand(data, most_bytes=most_bytes), parse_constant=_refuse_constant)
+    except RecursionError as fault:
         raise ValueError(f"no document: {fault}") from fault
     if not isinstance(document, dict):
         raise ValueError("no object of JSON")  # noqa: TRY004 - a message may hold anything, so it is no type error

@@ -10,6 +10,9 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from std_msgs.msg import UInt8MultiArray
+
 from arpd.estimate.receiver import Receiver, ReportSchedule
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
@@ -18,6 +21,8 @@ from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.probing import PeerReport
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
+from arpd.ros.probe_messages import decode_probe, encode_report
+from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread, octets
 from arpd.ros.runtime import control_node, serve_until, stop_on_signals
 
 if TYPE_CHECKING:
@@ -25,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.model.interface import LinkCounters
-    from arpd.ros.raw_reader import ReadingThread, Sample
+    from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 
@@ -54,10 +59,6 @@ class Peer:
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        from arpd.ros import probe_messages, raw_reader  # noqa: PLC0415 - ROS is checked in control_node
-
-        self._octets = raw_reader.octets
-        self._messages = probe_messages
         self._publish = publish
         self._reader = reader
         self._name = name
@@ -71,8 +72,8 @@ class Peer:
     def hear(self, sample: Sample) -> None:
         """Take a probe."""
         try:
-            packet = self._octets(sample.data)
-            header = self._messages.decode_probe(packet)
+            packet = octets(sample.data)
+            header = decode_probe(packet)
         except ValueError as fault:
             log.debug("ignored a probe: %s", fault)
             return
@@ -112,7 +113,7 @@ class Peer:
         delays_s, trains = self._receiver.take()
         if interval_s > 0:
             self._publish(
-                self._messages.encode_report(
+                encode_report(
                     PeerReport(
                         peer=self._name,
                         received_at_s=now_s,
@@ -132,12 +133,6 @@ class Peer:
 @contextmanager
 def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[Peer, ReadingThread]]:
     """Run a peer in a node, in a thread of its own; nobody needs to spin the node."""
-    from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: PLC0415 - ROS is checked in control_node
-    from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
-
-    from arpd.ros.probe_messages import MOST_PROBE_BYTES  # noqa: PLC0415
-    from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread  # noqa: PLC0415
-
     best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
     peer = Peer(reports.publish, reader=reader, name=name)
@@ -149,8 +144,6 @@ def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[
         best_effort,
         deliver=peer.hear,
         thread=thread,
-        most_bytes=MOST_PROBE_BYTES,
-        refuse=lambda: log.debug("ignored a message that is longer than any probe"),
     )
     try:
         yield peer, thread
@@ -166,28 +159,19 @@ class ProbeStatus:
     ----------
     task : task of the peer, in words
     tell : called with the line at the start and whenever it changes
-    wall_clock : returns the time of day, in words
     """
 
-    def __init__(
-        self,
-        task: str,
-        *,
-        tell: Callable[[str], None],
-        wall_clock: Callable[[], str] = lambda: time.strftime("%Y-%m-%d %H:%M:%S"),
-    ) -> None:
-        self._task = task
-        self._tell = tell
-        self._wall_clock = wall_clock
+    def __init__(self, task: str, *, tell: Callable[[str], None]) -> None:
+        self._task, self._tell = task, tell
         self._has_probes = False
         tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
 
     def update(self, *, probed_s: float, now_s: float) -> None:
         """Update the line from the time of the last probe (s)."""
-        if (has_probes := now_s - probed_s < _QUIET_S) == self._has_probes:
-            return
-        self._has_probes = has_probes
-        self._tell(f"{self._task}; {'probes arrive' if has_probes else 'no probes'} since {self._wall_clock()}")
+        if (has_probes := now_s - probed_s < _QUIET_S) != self._has_probes:
+            self._has_probes = has_probes
+            seen = "probes arrive" if has_probes else "no probes"
+            self._tell(f"{self._task}; {seen} since {time.strftime('%Y-%m-%d %H:%M:%S')}")
 
 
 def default_name(interface: str) -> str:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.model.observation import MessageRefusal
-from arpd.ros.rate_limits import SourceRateLimiter
 
 if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
@@ -16,7 +15,6 @@ _MOST_PEERS = 32
 _SILENT_S = 10.0  # then another peer may take the place of a silent one
 _NUMBERS = 2**32  # of probe numbers, on the wire
 _LATELY = 1000  # probes: 100 s and more
-_REPORTS_HZ, _REPORTS_BURST = 60.0, 30.0  # a peer sends 50 reports/s at most (`arpd.estimate.receiver.PROMPT_S`)
 _MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
 _RADIO_S = 60.0
 _RADIO_MARGIN = 2.0
@@ -65,7 +63,6 @@ class PeerAdmission:
         self._newest = 0
         self._heard_s: dict[str, float] = {}
         self._peers: int | None = None
-        self._limiter = SourceRateLimiter(rate_hz=_REPORTS_HZ, burst=_REPORTS_BURST)
 
     def number(self, probe: int) -> int:
         """Return the number of a probe on the wire; reports may answer it from now on."""
@@ -87,8 +84,6 @@ class PeerAdmission:
         is_answer = 0 < answered <= self._newest and self._newest - answered <= _LATELY
         if self._newest and not (is_answer and report.last_probe):
             return MessageRefusal.UNANSWERED
-        if not self._limiter.lets_pass(report.peer, now_s):
-            return MessageRefusal.RATE
         if not self._has_room(report.peer, now_s):
             return MessageRefusal.QUOTA
         return replace(

@@ -1,10 +1,12 @@
-"""The plan of all nodes as a message: pure."""
+"""The plan of all nodes as a message."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from arpd.model.plan import MOST_GENERATION
 from arpd.ros.bounds import LEAST_LEASE_S, MOST_LEASE_S, ROW_FIELDS
@@ -15,7 +17,11 @@ if TYPE_CHECKING:
 
     from arpd.model.plan import TopicPlan
 
-_MOST_BYTES = 1 << 20  # of its text; a thousand topics take a tenth of it
+MOST_BYTES = 1 << 20  # of its text; a thousand topics take a tenth of it
+#: The last plan is kept for nodes that start later.
+PLAN_QOS = QoSProfile(
+    depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,7 +54,7 @@ def decode_plan(data: bytes) -> PlanMessage:
     ValueError
         If the bytes are no plan, or its generation or lease is out of bounds; the message names the fault.
     """
-    document = unpack(data, most_bytes=_MOST_BYTES)
+    document = unpack(data, most_bytes=MOST_BYTES)
     rows = document.get("rows")
     if not isinstance(rows, dict):
         raise ValueError("a plan without rows")  # noqa: TRY004 - a message may hold anything, so it is no type error

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.model.plan import NO_PLAN
-from arpd.ros.daemon_messages import plan_qos
 from arpd.ros.events import no_publisher_events
 from arpd.ros.names import PLAN_TOPIC
-from arpd.ros.plan_message import encode_plan
+from arpd.ros.plan_message import PLAN_QOS, encode_plan
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -87,7 +86,7 @@ class PlanSender:
         self._sent, self._sent_s, self._awaited = (plan, lease_s), now_s, set(missing)
         if self._writer is None:
             self._writer = self._ros.create_publisher(
-                UInt8MultiArray, PLAN_TOPIC, plan_qos(), event_callbacks=no_publisher_events()
+                UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=no_publisher_events()
             )
         message = encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)
         self._writer.publish(UInt8MultiArray(data=array("B", message)))

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _VERSION = 1.0
-_FIELDS = 9
-MOST_NUMBERS = 64
+_NUMBERS = 9
 
 
 def encode_price(price: Price) -> list[float]:
@@ -31,18 +30,16 @@ def encode_price(price: Price) -> list[float]:
 
 
 def decode_price(numbers: Sequence[float]) -> Price:
-    """Return the price of a message; further numbers are fields of a later arpd, and have no meaning here.
+    """Return the price of a message.
 
     Raises
     ------
     ValueError
         If the numbers are no price; the message names the fault.
     """
-    if not _FIELDS <= len(numbers) <= MOST_NUMBERS:
-        raise ValueError(f"price of {len(numbers)} numbers; {_FIELDS} to {MOST_NUMBERS} are needed")
-    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_floor, loss, budget, spare = numbers[
-        :_FIELDS
-    ]
+    if len(numbers) != _NUMBERS:
+        raise ValueError(f"price of {len(numbers)} numbers; {_NUMBERS} are needed")
+    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_floor, loss, budget, spare = numbers
     if version != _VERSION:
         raise ValueError(f"price of version {version:g}; this arpd understands {_VERSION:g}")
     if not (math.isnan(loss) or 0.0 <= loss <= 1.0):

@@ -26,7 +26,6 @@ _MOST_DELAY_S = 1e10  # two clocks differ by less, even when one of them was nev
 _MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its benchmark a hundred
 _MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
 MOST_REPORT_BYTES = 1024  # of a serialized report
-MOST_PROBE_BYTES = _MOST_PACKET_BYTES  # of a serialized probe
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,7 +53,7 @@ def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
 
 def decode_probe(data: bytes) -> ProbeHeader:
     """Decode a probe packet from the bytes of its message; raise ValueError if it is none."""
-    if len(data) < _PROBE.size or data[0] != _PROBE_VERSION:
+    if not _PROBE.size <= len(data) <= _MOST_PACKET_BYTES or data[0] != _PROBE_VERSION:
         raise ValueError("not a probe of this version")
     _, quiet, index, packets, train = _PROBE.unpack_from(data)
     if not index < packets <= _MOST_PACKETS:

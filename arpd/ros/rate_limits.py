@@ -18,17 +18,17 @@ _MOST_LOGGED = 32  # things in that time: invented names must not fill the log
 
 @dataclass(slots=True)
 class TokenBucket:
-    """Lets ``rate_hz`` through on average and ``burst`` at once."""
+    """Lets ``rate_hz`` through on average and ``burst`` at once; ``asked_s`` is when somebody asked last (s)."""
 
     rate_hz: float
     burst: float
+    asked_s: float = 0.0
     _spent: float = 0.0
-    _at_s: float = 0.0
 
     def take(self, now_s: float) -> bool:
         """Return whether one more may pass now."""
-        self._spent = max(0.0, self._spent - self.rate_hz * max(0.0, now_s - self._at_s))
-        self._at_s = now_s
+        self._spent = max(0.0, self._spent - self.rate_hz * max(0.0, now_s - self.asked_s))
+        self.asked_s = now_s
         if self._spent + 1.0 > self.burst:
             return False
         self._spent += 1.0
@@ -46,19 +46,22 @@ class SourceRateLimiter:
     """
 
     def __init__(self, *, rate_hz: float, burst: float) -> None:
-        self._rate_hz, self._burst = rate_hz, burst
-        self._heard: dict[Hashable, tuple[TokenBucket, float]] = {}  # with the time of the last message (s)
-        self._late = TokenBucket(rate_hz, burst)
+        self._limit = rate_hz, burst
+        self._buckets: dict[Hashable, TokenBucket] = {}
+        self._late = TokenBucket(*self._limit)
 
     def lets_pass(self, source: Hashable, now_s: float) -> bool:
         """Return whether one more message of a source may pass now."""
-        if source not in self._heard and len(self._heard) >= _MOST_SOURCES:
-            self._heard = {known: heard for known, heard in self._heard.items() if now_s - heard[1] < _SILENT_S}
-            if len(self._heard) >= _MOST_SOURCES:
-                return self._late.take(now_s)
-        bucket, _ = self._heard.get(source) or (TokenBucket(self._rate_hz, self._burst), now_s)
-        self._heard[source] = bucket, now_s
-        return bucket.take(now_s)
+        bucket = self._buckets.get(source)
+        return (self._bucket_for(source, now_s) if bucket is None else bucket).take(now_s)
+
+    def _bucket_for(self, source: Hashable, now_s: float) -> TokenBucket:
+        if len(self._buckets) >= _MOST_SOURCES:
+            self._buckets = {each: had for each, had in self._buckets.items() if now_s - had.asked_s < _SILENT_S}
+            if len(self._buckets) >= _MOST_SOURCES:
+                return self._late
+        self._buckets[source] = TokenBucket(*self._limit, asked_s=now_s)
+        return self._buckets[source]
 
 
 class OncePerMinute:

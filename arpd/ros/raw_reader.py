@@ -16,7 +16,6 @@ import math
 import os
 import select
 import struct
-import sys
 import threading
 import time
 from collections import deque
@@ -227,8 +226,6 @@ class RawReader:
     deliver : called with every sample, in the thread
     thread : takes the samples
     most_held_bytes : what may wait for the thread; a reader whose samples are too large for that gets a smaller depth
-    most_bytes : size above which a sample is refused, undecoded
-    refuse : called instead when a sample is too long
     """
 
     def __init__(
@@ -241,13 +238,11 @@ class RawReader:
         deliver: Callable[[Sample], None],
         thread: ReadingThread,
         most_held_bytes: int | None = None,
-        most_bytes: int = sys.maxsize,
-        refuse: Callable[[], None] = lambda: None,
     ) -> None:
         self.name, self.notify, self._thread = topic, rcl().notify_reader, thread
-        self._deliver, self._refuse = deliver, refuse
+        self._deliver = deliver
         self._node, self._msg_type, self._qos = node, msg_type, qos
-        self._most_held_bytes, self._most_bytes = most_held_bytes, most_bytes
+        self._most_held_bytes = most_held_bytes
         self._lock = threading.Lock()
         self._is_destroyed = False
         self._last = (b"", 0, 0)  # writer and number of the newest sample, and when it left
@@ -281,10 +276,7 @@ class RawReader:
             if (sample := thread.take(self.handle)) is None:
                 return True
             if self._is_new(sample):
-                if len(sample.data) > self._most_bytes:
-                    self._refuse()
-                else:
-                    self._deliver(sample)
+                self._deliver(sample)
                 if not self._has_room_for(sample):
                     return True
             elif self._repeats > _MOST_REPEATS:
@@ -331,11 +323,28 @@ def octets(data: bytes) -> bytes:
     ValueError
         If the bytes are no such array.
     """
-    try:
-        dimensions, _offset, size = struct.unpack_from(_ORDER[data[1]] + "III", data, 4)
-    except (KeyError, IndexError, struct.error) as fault:
-        raise ValueError("no UInt8MultiArray") from fault
+    size, _order = _head(data)
     held = data[16 : 16 + size]
-    if dimensions or len(held) != size:
-        raise ValueError("a UInt8MultiArray with dimensions, or cut off")
+    if len(held) != size:
+        raise ValueError("an array that is cut off")
     return held
+
+
+def doubles(data: bytes) -> tuple[float, ...]:
+    """Return the numbers of a serialized Float64MultiArray without dimensions; errors are those of `octets`."""
+    size, order = _head(data)
+    if len(data) < 20 + 8 * size:  # the first number is aligned
+        raise ValueError("an array that is cut off")
+    return struct.unpack_from(f"{order}{size}d", data, 20)
+
+
+def _head(data: bytes) -> tuple[int, str]:
+    """Return the number of items, and the order of bytes."""
+    try:
+        order = _ORDER[data[1]]
+        dimensions, _offset, size = struct.unpack_from(order + "III", data, 4)
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("no array of numbers") from fault
+    if dimensions:
+        raise ValueError("an array with dimensions")
+    return size, order

@@ -6,12 +6,9 @@ import os
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import Refusal, RefusalReason
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-# Both are Fast DDS: its profile shortens heartbeats, its GUIDs name hosts, and its readers number samples.
 _FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
@@ -22,42 +19,25 @@ class Rmw:
     Parameters
     ----------
     name : its identifier, as in RMW_IMPLEMENTATION
-    can_swap : whether writers and readers may be replaced live: acknowledgements come quickly, and samples have
-        sequence numbers that show duplicates
+    is_fast_dds : whether it is the one that was measured: acknowledgements come quickly, readers number samples, so
+        that writers may be replaced live, and a profile keeps the endpoints of one participant from matching
     tells_hosts : whether bytes 2 and 3 of an endpoint's GID name its host. Under DDS Security they do not: bytes 0 to 5
         are a hash of the certificate's subject, the enclave
-    can_ignore_itself : whether a profile keeps the endpoints of one participant from matching, as two ends need
     """
 
     name: str
-    can_swap: bool
+    is_fast_dds: bool
     tells_hosts: bool
-    can_ignore_itself: bool
 
     @property
     def refusal(self) -> str:
         """Reason why depth and deadline are never changed; empty if they are."""
-        if self.can_swap:
-            return ""
-        return f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
+        return "" if self.is_fast_dds else f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
 
 
 def rmw_of(name: str) -> Rmw:
     """Return a middleware by its identifier; one that was never measured has no abilities."""
-    is_fast_dds = name in _FAST_DDS
-    return Rmw(name=name, can_swap=is_fast_dds, tells_hosts=is_fast_dds, can_ignore_itself=is_fast_dds)
-
-
-def lasting_refusal(rmw: Rmw, *, latched: str) -> Refusal | None:
-    """Return the reason why an endpoint is never replaced, None if it may be.
-
-    Parameters
-    ----------
-    latched : reason against replacing a TRANSIENT_LOCAL endpoint, in words; empty if it is none
-    """
-    if rmw.refusal:
-        return Refusal(RefusalReason.MIDDLEWARE, rmw.refusal)
-    return Refusal(RefusalReason.TRANSIENT_LOCAL, latched) if latched else None
+    return Rmw(name=name, is_fast_dds=name in _FAST_DDS, tells_hosts=name in _FAST_DDS)
 
 
 def _identifier() -> str:

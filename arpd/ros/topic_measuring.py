@@ -50,41 +50,18 @@ class _Measured:
     ended_s: float | None = None
 
 
-def list_topics(
-    node: Node,
-    *,
-    seconds: float,
-    prefix: str,
-    is_of_interest: Callable[[str], bool],
-    on_progress: Callable[[float, str], None] = lambda _elapsed_s, _what: None,
-    clock: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
-) -> TopicList:
-    """Find the topics of the graph, and measure those of this host.
+class TopicSurvey:
+    """Finds the topics of the graph, and measures those of this host.
 
     Parameters
     ----------
     node : node of this process in the robot's domain; nobody needs to spin it
-    seconds : time to measure (s)
     prefix : under which a relay with one end republishes topics; empty = there is none
     is_of_interest : returns whether to list a topic, by its name
     on_progress : called with the time of the measurement that has passed (s), and what happens
     clock : monotonic clock (s)
     sleep : waits for the given time (s)
     """
-    survey = _Survey(node, prefix=prefix, is_of_interest=is_of_interest, clock=clock, sleep=sleep)
-    try:
-        survey.discover(on_progress)
-        survey.measure(seconds, on_progress)
-    finally:
-        survey.close()
-    return TopicList(
-        topics=survey.topics(), seconds=seconds, domain_id=node.context.get_domain_id(), cannot_tell_hosts=survey.blind
-    )
-
-
-class _Survey:
-    """The graph as it was read last, and the meters of its topics; the parameters are those of `list_topics`."""
 
     def __init__(
         self,
@@ -92,27 +69,45 @@ class _Survey:
         *,
         prefix: str,
         is_of_interest: Callable[[str], bool],
-        clock: Callable[[], float],
-        sleep: Callable[[float], None],
+        on_progress: Callable[[float, str], None] = lambda _elapsed_s, _what: None,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._node = node
         self._prefix = prefix
         self._is_of_interest = is_of_interest
+        self._on_progress = on_progress
         self._clock = clock
         self._sleep = sleep
         self._view = GraphView.of(node)
         self._changes = -1  # of the graph, when it was read last
         self._rmw = current_rmw()
-        self.blind = cannot_tell_hosts(self._rmw)
+        self._blind = cannot_tell_hosts(self._rmw)
         self._found: dict[str, FoundTopic] = {}
         self._sides = find_sides(self._view, self._rmw)
         self._measured: dict[str, _Measured] = {}
         self._reasons: dict[str, str] = {}
         self._thread = ReadingThread()
 
-    def discover(self, on_progress: Callable[[float, str], None]) -> None:
+    def run(self, seconds: float) -> TopicList:
+        """Return all topics of interest with what was measured in this time (s)."""
+        try:
+            self._discover()
+            self._measure(seconds)
+        finally:
+            for each in self._measured.values():
+                self._end(each)
+            self._thread.stop()
+        return TopicList(
+            topics=tuple(map(self._with_traffic, self._listed())),
+            seconds=seconds,
+            domain_id=self._node.context.get_domain_id(),
+            cannot_tell_hosts=self._blind,
+        )
+
+    def _discover(self) -> None:
         """Read the graph until it has not changed for a while."""
-        on_progress(0.0, "looking for nodes")
+        self._on_progress(0.0, "looking for nodes")
         begun_s = changed_s = self._clock()
         while (now_s := self._clock()) - begun_s < _LONGEST_DISCOVERY_S:
             if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S + self._view.rest_s:
@@ -121,14 +116,14 @@ class _Survey:
                 changed_s = self._clock()
             self._sleep(_LOOK_S)
 
-    def measure(self, seconds: float, on_progress: Callable[[float, str], None]) -> None:
+    def _measure(self, seconds: float) -> None:
         """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
         begun_s = self._clock()
         look_s = begun_s + _LOOK_AGAIN_S
         self._begin_all()
         while self._measured and (elapsed_s := self._clock() - begun_s) < seconds:
             running = [each for each in self._measured.values() if each.reader is not None]
-            on_progress(elapsed_s, f"measuring {len(running)} topics")
+            self._on_progress(elapsed_s, f"measuring {len(running)} topics")
             for each in running:
                 if each.meter.has_enough:
                     self._end(each)
@@ -137,18 +132,6 @@ class _Survey:
                 if self._look():
                     self._begin_all()
             self._sleep(min(_TURN_S, seconds - elapsed_s))
-        for each in self._measured.values():
-            self._end(each)
-
-    def close(self) -> None:
-        """Destroy every reader, and end the thread."""
-        for each in self._measured.values():
-            self._end(each)
-        self._thread.stop()
-
-    def topics(self) -> tuple[LinkTopic, ...]:
-        """Return all topics of interest with what was measured; the thread has ended."""
-        return tuple(map(self._with_traffic, self._listed()))
 
     def _listed(self) -> list[LinkTopic]:
         found = sorted(self._found.values(), key=lambda topic: topic.name)
@@ -170,13 +153,13 @@ class _Survey:
             if topic.name in self._measured:
                 continue
             reason = self._begin(self._found[topic.name])
-            self._reasons[topic.name] = "its host is unknown" if self.blind and topic.far_writers else reason
+            self._reasons[topic.name] = "its host is unknown" if self._blind and topic.far_writers else reason
 
     def _begin(self, topic: FoundTopic) -> str:
         """Begin to measure a topic; return why not, or an empty text."""
         if reason := obstacle(topic, self._sides):
             return reason
-        if not self._rmw.can_swap:
+        if not self._rmw.is_fast_dds:
             return f"{self._rmw.name} does not number samples, which measuring needs"
         is_latched = any(writer.is_latched for writer in topic.writers)
         # A reader gets nothing from a writer that offers less than it asks, and a history only if it is reliable.

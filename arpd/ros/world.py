@@ -7,7 +7,7 @@ import math
 import secrets
 import threading
 import time
-from itertools import chain, repeat
+from collections import deque
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -25,35 +25,38 @@ from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.events import InvalidHandle
 from arpd.ros.graph_view import GraphView
-from arpd.ros.listeners import NodeSnapshots, OtherDaemons
-from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, REPORT_TOPIC
+from arpd.ros.inbox import Inbox
+from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.ros.nodes import SILENT_S, Nodes
+from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.peer_reports import Ceiling, PeerAdmission
 from arpd.ros.plan_sender import PlanSender
 from arpd.ros.price_message import encode_price
 from arpd.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.ros.raw_reader import RawReader, ReadingThread, octets
+from arpd.ros.raw_reader import ReadingThread, octets
 from arpd.ros.rcl import rcl
-from arpd.ros.refused_messages import RefusedMessages
 from arpd.ros.rmw import Rmw, current_rmw
+from arpd.ros.snapshot_decoder import decode_snapshot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
+    from arpd.model.endpoints import NodeSnapshot
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.settings import GraphSettings
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
-_LOOK_AROUND_S = 1.0
+_LOOK_AROUND_S, _RADIO_S = 0.2, 1.0  # between two looks at the graph, and at the radio
 _MEMORY_S = 0.5  # between two readings
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
 _PEER_FORGOTTEN_S = 60.0  # a scrape or two must see its age grow
-_MOST_REPORTS = 200  # waiting for a tick
+_MOST_REPORTS, _MOST_SNAPSHOTS = 200, 1000  # waiting for a tick
+_MOST_SNAPSHOT_BYTES = 128 * 1024  # ten times that of MOST_OF_NODE publishers
+_SNAPSHOTS_HZ, _REPORTS_HZ = 8.0, 60.0  # of one sender; arpd sends 5 and 50 at most
 _WHY = {
     MessageRefusal.UNANSWERED: "they answer no probe of this daemon",
-    MessageRefusal.RATE: "there are more of them than any peer sends",
     MessageRefusal.QUOTA: "the graph shows fewer peers than there are names",
 }
 
@@ -105,10 +108,10 @@ class RosControl:
         self._on_report_arrived = on_report
         self._clock = clock
         self._lock = threading.Lock()
-        self._refused = RefusedMessages(clock=clock)
         self._peer_admission = PeerAdmission(randomness(2**32))
         self._ceiling = Ceiling()
         self._reports: list[PeerReport] = []
+        self._snapshots: deque[tuple[bytes, NodeSnapshot, float]] = deque(maxlen=_MOST_SNAPSHOTS)  # with their arrival
         self._peers_heard: dict[str, float] = {}  # when each reported last (s)
         self._peer_clocks = PeerClocks()
         self._view = GraphView.of(node)
@@ -125,27 +128,42 @@ class RosControl:
         self._price_publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, newest)
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         self.thread = ReadingThread.of(node.context)
-        shared: dict[str, Any] = {"thread": self.thread, "refused": self._refused, "clock": clock}
-        self._snapshots = NodeSnapshots(node, **shared)
         self._nodes = Nodes()  # of the thread that ticks
         self._shows_writer: Callable[[str, str], bool] | None = None  # in the graph that the nodes have not seen yet
-        RawReader(
+        snapshots = Inbox(
+            node,
+            UInt8MultiArray,
+            PUBLISHERS_TOPIC,
+            QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT),
+            decode=lambda sample: decode_snapshot(octets(sample.data)),
+            deliver=lambda writer, snapshot: self._snapshots.append((writer, snapshot, clock())),
+            most_bytes=_MOST_SNAPSHOT_BYTES,
+            most_hz=_SNAPSHOTS_HZ,
+            clock=clock,
+        )
+        reports = Inbox(
             node,
             UInt8MultiArray,
             REPORT_TOPIC,
             best_effort,
+            decode=self._decode_report,
             deliver=self._on_report,
-            thread=self.thread,
             most_bytes=MOST_REPORT_BYTES,
-            refuse=lambda: self._refuse_report(MessageRefusal.SIZE, "", "a message is longer than any report"),
+            most_hz=_REPORTS_HZ,
+            clock=clock,
         )
         self._sender = PlanSender(node)
         own = rcl().gid_of(self._price_publisher.handle)
-        self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts, **shared)
+        self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts, clock=clock)
+        self._inboxes: dict[MessageKind, Inbox[Any]] = {
+            MessageKind.PUBLISHERS: snapshots,
+            MessageKind.REPORTS: reports,
+            MessageKind.PRICES: self._daemons.inbox,
+        }
         self._has_two_ends = has_two_ends
         self._began_s = clock()
-        # In a thread: the tick must stay short, and so must the reading of messages.
-        PeriodicThread(node, self._read_graph, self._read_radio, every_s=_LOOK_AROUND_S)
+        # The tick must stay short, and so must the reading of messages.
+        threading.Thread(target=self._look_around, name="arpd-looking", daemon=True).start()
 
     def reconfigure(self, graph: GraphSettings) -> None:
         """Take new pinned topic counts."""
@@ -162,7 +180,7 @@ class RosControl:
             }
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
-        self._snapshots.drain(self._nodes)
+        self._take_snapshots()
         if (shows_writer := self._shows_writer) is not None:
             self._shows_writer = None
             self._nodes.see(shows_writer)
@@ -187,7 +205,7 @@ class RosControl:
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
-            taken=Taken(refused=self._refused.counts, pending=self._nodes.pending),
+            taken=Taken(refused=self._refused(), pending=self._nodes.pending),
             relay=relay,
             is_relay_silent=self._has_two_ends and relay is None and now_s - self._began_s > SILENT_S,
             domain=self._domain,
@@ -253,14 +271,19 @@ class RosControl:
 
     # -- what arrives
 
-    def _on_report(self, sample: Sample) -> None:
-        now_s = self._clock()
+    def _take_snapshots(self) -> None:
+        while self._snapshots:
+            writer, snapshot, at_s = self._snapshots.popleft()
+            if not self._nodes.note(writer, snapshot, at_s):
+                words = f"too many publishers; those of {snapshot.node} are left out"
+                self._inboxes[MessageKind.PUBLISHERS].refuse(MessageRefusal.QUOTA, writer, words)
+
+    def _decode_report(self, sample: Sample) -> PeerReport:
         return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
-        try:
-            report = decode_report(octets(sample.data), received_at_s=now_s, return_delay_s=return_delay_s)
-        except ValueError as fault:
-            self._refuse_report(MessageRefusal.MALFORMED, "", str(fault))
-            return
+        return decode_report(octets(sample.data), received_at_s=self._clock(), return_delay_s=return_delay_s)
+
+    def _on_report(self, writer: bytes, report: PeerReport) -> None:
+        now_s = report.received_at_s
         with self._lock:
             believed = self._peer_admission.check(report, now_s, ceiling=self._ceiling.bytes_per_second)
             if isinstance(believed, PeerReport):
@@ -269,63 +292,49 @@ class RosControl:
                 self._peers_heard[report.peer] = now_s
                 self._peer_clocks.note(believed)
         if isinstance(believed, MessageRefusal):
-            self._refuse_report(believed, report.peer, f"reports of {report.peer!r}: {_WHY[believed]}")
+            words = f"reports of {report.peer!r}: {_WHY[believed]}"
+            self._inboxes[MessageKind.REPORTS].refuse(believed, writer, words)
         else:
             self._on_report_arrived()
 
-    def _refuse_report(self, reason: MessageRefusal, peer: str, words: str) -> None:
-        self._refused.note(MessageKind.REPORTS, reason, words, source=peer)
+    def _refused(self) -> Mapping[tuple[MessageKind, MessageRefusal], int]:
+        return {
+            (kind, reason): count
+            for kind, inbox in self._inboxes.items()
+            for reason, count in tuple(inbox.refused.items())
+        }
+
+    # -- what changes slowly
+
+    def _look_around(self) -> None:
+        """Read graph and radio again and again, until the node is destroyed or its context ends."""
+        radio_s = -math.inf
+        while self._node.context.ok():
+            try:
+                self._read_graph()
+                if self._clock() >= radio_s:
+                    radio_s = self._clock() + _RADIO_S
+                    self._read_radio()
+            except InvalidHandle:
+                return
+            except Exception:
+                log.exception("graph or radio cannot be read; arpd tries again")
+            time.sleep(_LOOK_AROUND_S)
 
     def _read_graph(self) -> None:
-        if (changes := self._view.look()) != self._changes:
-            graph = read_graph(self._view, self._rmw, first=self._nodes.topics)
-            self._changes = changes
-            if graph != self._graph:
-                directions = [crossing.direction for crossing in graph.crossings.values()]
-                self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
-                self._graph, self._fields_of = graph, graph.fields_of
-        graph = self._graph
-        with self._lock:
-            self._peer_admission.see(graph.peers or 0)
-        self._shows_writer = graph.shows_writer
+        if (changes := self._view.look()) == self._changes:
+            return
+        graph = read_graph(self._view, self._rmw, first=self._nodes.topics)
+        self._changes = changes
         self._daemons.see(self._view.writers(PRICE_TOPIC))
+        if graph != self._graph:
+            directions = [crossing.direction for crossing in graph.crossings.values()]
+            self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
+            self._graph, self._fields_of, self._shows_writer = graph, graph.fields_of, graph.shows_writer
+            with self._lock:
+                self._peer_admission.see(graph.peers or 0)
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
         with self._lock:
             self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
-
-
-_RESTS, _MOST_REST_S = 10.0, 3.0  # times the duration of a turn; and at most, in case something else held it up
-_FAST_TURNS = 30  # at the start the graph changes quickly
-
-
-class PeriodicThread:
-    """Does its tasks again and again, until the node is destroyed or its context ends.
-
-    Parameters
-    ----------
-    node : rclpy node that the tasks use
-    tasks : called one after the other; a task that raises is logged, and the others go on
-    every_s : time between two turns, at first a fifth of it; longer after turns that take long (s)
-    """
-
-    def __init__(self, node: Any, *tasks: Callable[[], None], every_s: float) -> None:
-        self._node = node
-        self._tasks = tasks
-        self._every_s = every_s
-        threading.Thread(target=self._run, name="arpd-periodic", daemon=True).start()
-
-    def _run(self) -> None:
-        for pause_s in chain(repeat(self._every_s / 5, _FAST_TURNS), repeat(self._every_s)):
-            if not self._node.context.ok():
-                return
-            began_s = time.monotonic()
-            for task in self._tasks:
-                try:
-                    task()
-                except InvalidHandle:
-                    return
-                except Exception:
-                    log.exception("a periodic task failed; it runs again, and the others go on")
-            time.sleep(max(pause_s, min(_MOST_REST_S, _RESTS * (time.monotonic() - began_s))))

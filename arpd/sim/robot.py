@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.flow import Flow
-from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.endpoint.queue import PacedQueue
 from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
 from arpd.sim.arrivals import Arrivals
 from arpd.sim.result import TopicResult
@@ -118,7 +118,7 @@ class SimulatedThread:
 
     def __init__(self, timeline: Timeline) -> None:
         self._timeline = timeline
-        self._queue = PacedQueue(Whole())
+        self._queue = PacedQueue()
         self._alarm = Alarm(timeline, self.run)
 
     def add(self, lane: Lane) -> None:

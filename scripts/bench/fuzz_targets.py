@@ -244,8 +244,9 @@ def snapshot() -> Fuzzable:
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
-    from arpd.ros.documents import unpack
-    from arpd.ros.node_snapshot import MOST_BYTES, decode_snapshot, encode_snapshot
+    from arpd.ros.documents import expand
+    from arpd.ros.node_snapshot import LIKELY, MOST_BYTES, encode_snapshot
+    from arpd.ros.snapshot_decoder import decode_snapshot
 
     def feed(data: bytes) -> None:
         try:
@@ -262,7 +263,7 @@ def snapshot() -> Fuzzable:
 
     answer = PlanAnswer(generation=3, lease_s=30.0, refused=4, refusal="too old")
     packed = encode_snapshot("/lidar", [_publisher()] * 20, answer=answer, lacks_profile=True, relay=RelaySummary())
-    plain = json.dumps(unpack(packed, most_bytes=MOST_BYTES)).encode()
+    plain = expand(packed, most_bytes=MOST_BYTES, likely=LIKELY)
     return Fuzzable(feed=feed, seeds=(packed, plain), words=_NUMBERS)
 
 

@@ -7,8 +7,8 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.ros.names import PUBLISHERS_TOPIC
-from arpd.ros.node_snapshot import decode_snapshot
 from arpd.ros.nodes import Nodes
+from arpd.ros.snapshot_decoder import decode_snapshot
 
 
 class Announced:

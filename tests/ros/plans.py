@@ -4,17 +4,16 @@ from array import array
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.ros.daemon_messages import plan_qos
 from arpd.ros.documents import pack, unpack
 from arpd.ros.names import PLAN_TOPIC
-from arpd.ros.plan_message import encode_plan
+from arpd.ros.plan_message import PLAN_QOS, encode_plan
 
 
 class Plans:
     """Sends plans on the topic, and keeps the last one for who starts later."""
 
     def __init__(self, node):
-        self._publisher = node.create_publisher(UInt8MultiArray, PLAN_TOPIC, plan_qos())
+        self._publisher = node.create_publisher(UInt8MultiArray, PLAN_TOPIC, PLAN_QOS)
 
     def __call__(self, generation, topics, *, lease_s=0.0, spoilt=None):
         """Send a plan.

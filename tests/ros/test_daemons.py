@@ -6,13 +6,10 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import rclpy
 
-from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.ros.graph import writers_of
-from arpd.ros.listeners import OtherDaemons
 from arpd.ros.names import PRICE_TOPIC
-from arpd.ros.raw_reader import ReadingThread
+from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.rcl import rcl
-from arpd.ros.refused_messages import RefusedMessages
 from tests.ros.clock import SkippingClock
 from tests.ros.domain import DOMAIN
 from tests.ros.price import PriceSender
@@ -27,10 +24,7 @@ class Daemon:
         self._node = node
         self.send = PriceSender(node)
         self.guid = rcl().gid_of(self.send.handle)
-        self.refused = RefusedMessages()
-        self.heard = OtherDaemons(
-            node, self.guid, tells_hosts=True, thread=ReadingThread.of(node.context), refused=self.refused, clock=clock
-        )
+        self.heard = OtherDaemons(node, self.guid, tells_hosts=True, clock=clock)
 
     def beat(self):
         self.heard.see(writers_of(self._node, PRICE_TOPIC))
@@ -66,20 +60,3 @@ def test_the_one_with_the_lowest_guid_drives_and_is_succeeded(daemons, clock, ev
         return higher.beat().active_daemon() == ""
 
     eventually("it is succeeded", succeeds)
-
-
-def test_what_is_no_price_is_no_daemon(daemons, eventually):
-    """Numbers that are no price are counted and change nothing."""
-    lower, higher = daemons
-
-    def is_refused():
-        lower.send.send([1.0])
-        lower.send.send([1.0] * 1000)
-        return higher.refused.counts
-
-    eventually("both are refused", lambda: len(is_refused()) == 2)
-    assert set(higher.refused.counts) == {
-        (MessageKind.PRICES, MessageRefusal.MALFORMED),
-        (MessageKind.PRICES, MessageRefusal.SIZE),
-    }
-    assert higher.heard.active_daemon() == ""

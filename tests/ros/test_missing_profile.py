@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 from arpd import AdaptivePublisher
 from arpd.ros.names import PUBLISHERS_TOPIC
-from arpd.ros.node_snapshot import decode_snapshot
+from arpd.ros.snapshot_decoder import decode_snapshot
 
 rclpy.init()
 nodes = [rclpy.create_node(name) for name in ("one", "two")]

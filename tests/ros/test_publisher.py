@@ -170,7 +170,7 @@ def test_what_is_no_price_changes_nothing(publisher, configure, send_price):
     send_price(costing(5.0), "the price is in force", is_paced_at(publisher, 5.0))
     for numbers in ([], [1.0, math.nan, *[0.0] * 5], [7.0] * 7, [1.0] * 500):
         message = bytes(serialize_message(Float64MultiArray(data=numbers)))
-        publisher._shared._messages._on_price(Sample(message, b"", 0))
+        publisher._shared._inboxes[0].take(Sample(message, b"", 0))
         assert is_paced_at(publisher, 5.0)()
     send_price(costing(6.0), "the next price is in force", is_paced_at(publisher, 6.0))
 

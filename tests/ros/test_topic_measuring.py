@@ -17,7 +17,7 @@ from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.model.names import is_internal
 from arpd.ros.link_topics import is_confined
-from arpd.ros.topic_measuring import list_topics
+from arpd.ros.topic_measuring import TopicSurvey
 from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import TwoEnds
@@ -45,7 +45,7 @@ def survey(ros, eventually):
 
     def survey(*known):
         eventually(f"{known} are known", lambda: {*known} <= dict(node.get_topic_names_and_types()).keys())
-        listed = list_topics(node, seconds=2.0, prefix="", is_of_interest=lambda topic: not is_internal(topic))
+        listed = TopicSurvey(node, prefix="", is_of_interest=lambda topic: not is_internal(topic)).run(2.0)
         return {topic.name: topic for topic in listed.topics}
 
     yield survey

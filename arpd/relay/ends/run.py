@@ -96,7 +96,7 @@ def check_middleware(rmw: Rmw) -> None:
     RosUnavailableError
         If it is not Fast DDS.
     """
-    if not rmw.can_ignore_itself:
+    if not rmw.is_fast_dds:
         raise RosUnavailableError(
             f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
             "it, or remove relay.link_domain"

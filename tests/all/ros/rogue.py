@@ -1,5 +1,6 @@
 """A process that floods arpd's topics with false messages, from its first line of input until it is killed."""
 
+import json
 import random
 import sys
 import time
@@ -11,9 +12,9 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.model.plan import PlanAnswer
 from arpd.model.probing import PeerReport, Train
-from arpd.ros.documents import pack, unpack
+from arpd.ros.documents import expand, pack
 from arpd.ros.names import PRICE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
-from arpd.ros.node_snapshot import MOST_BYTES, encode_snapshot
+from arpd.ros.node_snapshot import LIKELY, MOST_BYTES, encode_snapshot
 from arpd.ros.probe_messages import encode_report
 from tests.sample_publishers import publisher
 
@@ -51,8 +52,9 @@ def spoilt(data):
 # Invented nodes, and a real one with topics that it does not write.
 snapshots = [snapshot(f"/rogue{k}", f"/invented{k}") for k in range(300)]
 snapshots += [snapshot("/rogue", *(f"/own{k}" for k in range(250))), snapshot("/rogue", honest_topic)]
-crowd = unpack(snapshots[-2], most_bytes=MOST_BYTES)
-snapshots += [pack({**crowd, "publishers": 2 * crowd["publishers"]}), b"{}"]
+crowd = json.loads(expand(snapshots[-2], most_bytes=MOST_BYTES, likely=LIKELY))
+twice = {name: 2 * values for name, values in crowd["publishers"].items()}
+snapshots += [pack({**crowd, "publishers": twice}, likely=LIKELY), b"{}"]
 snapshots = [message(data) for data in snapshots]
 snapshots += [spoilt(draw.choice(snapshots)) for _ in range(100)]
 crowds = [message(snapshot(f"/crowd{k}", *(f"/of{k}/t{number}" for number in range(250)))) for k in range(WRITERS)]

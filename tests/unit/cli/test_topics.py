@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import nullcontext
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
@@ -39,14 +39,17 @@ def robot(monkeypatch, tmp_path):
     asked: dict[str, object] = {}
 
     def robot(topics=ROBOT, **other):
-        def list_topics(_node, *, is_of_interest, seconds, prefix, on_progress):
-            on_progress(0.0, "begun")
-            asked.update(seconds=seconds, prefix=prefix, is_of_interest=is_of_interest)
-            found = tuple(topic for topic in topics if is_of_interest(topic.name))
-            return TopicList(topics=found, seconds=seconds, domain_id=7, **other)
+        def survey(_node, *, is_of_interest, prefix, on_progress):
+            def run(seconds):
+                on_progress(0.0, "begun")
+                asked.update(seconds=seconds, prefix=prefix, is_of_interest=is_of_interest)
+                found = tuple(topic for topic in topics if is_of_interest(topic.name))
+                return TopicList(topics=found, seconds=seconds, domain_id=7, **other)
+
+            return SimpleNamespace(run=run)
 
         module = ModuleType("arpd.ros.topic_measuring")
-        monkeypatch.setattr(module, "list_topics", list_topics, raising=False)
+        monkeypatch.setattr(module, "TopicSurvey", survey, raising=False)
         monkeypatch.setitem(sys.modules, module.__name__, module)
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
         monkeypatch.setattr(host, "likeliest_interface", lambda: "wlan0")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.lane import SMALL_BYTES
-from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import Overflow, WithheldCause, WriterQos
 from arpd.model.price import Price
@@ -47,7 +47,7 @@ class World(swap_world.World):
             overflow=overflow,
             clock=lambda: self.now_s,
         )
-        self.queue = PacedQueue(Whole())
+        self.queue = PacedQueue()
         self.queue.add(self.flow.lane)
         self.price = None
 

@@ -1,4 +1,4 @@
-"""The paced queue of a participant whose samples cross whole, in virtual time; test_chunks.py has the relay's."""
+"""The paced queue of a participant whose samples cross whole, in virtual time; test_link_queue.py has the relay's."""
 
 import math
 from collections import defaultdict
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.endpoint.lane import Lane
-from arpd.endpoint.queue import PacedQueue, Whole
+from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.wire import wire_size
@@ -34,7 +34,7 @@ class Participant:
     def __init__(self, price=None):
         self.now_s = 100.0
         self.price = price or Price(share_per_weight=math.inf, capacity_bytes_per_second=CAPACITY)
-        self.queue = PacedQueue(Whole())
+        self.queue = PacedQueue()
         self.lanes, self.left = {}, defaultdict(list)
 
     def topic(self, name, row, **options):

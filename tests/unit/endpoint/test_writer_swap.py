@@ -89,17 +89,6 @@ def test_a_link_that_is_clean_no_longer_is_given_time():
     assert world.results == [SwapResult.OK]
 
 
-@pytest.mark.parametrize("settle_s", [0.0, 0.1])
-def test_a_settle_time_below_the_clean_one_stays(settle_s):
-    """A clean link makes no swap slower."""
-    _, swap = make(SwapTiming(settle_s=settle_s))
-    swap.loss_ratio = 0.0
-    swap.request(qos(2))
-    swap.step(0.0)
-    swap.step(settle_s)
-    assert swap.qos == qos(2)
-
-
 def settled(world, swap, wanted=None):
     """Bring a swap to WATCHING; return the time."""
     acknowledge(world, is_acknowledging=False)
@@ -350,18 +339,6 @@ def test_readers_that_keep_joining_do_not_end_a_swap():
     assert swap.qos == qos(8)
 
 
-def test_a_reader_that_keeps_coming_and_going_cannot_hold_for_ever():
-    """The swap is over when matching times out."""
-    world, swap = make()
-    swap.current.acknowledges = False
-    swap.request(qos(2))
-    for step in range(int(1.2 * TIMING.match_timeout_s / 0.05)):
-        swap.current.readers = 1 + step // 4 % 2
-        swap.step(step * 0.05)
-    assert len(world.results) == 1
-    assert swap.state is SwapState.IDLE
-
-
 def test_old_writers_do_not_pile_up():
     """While a reader never acknowledges, a limited number of old writers drains, and requests coalesce."""
     world, swap = make(SwapTiming(settle_s=0.1, patience_s=0.0, drain_s=10.0))
@@ -380,21 +357,6 @@ def test_old_writers_do_not_pile_up():
     acknowledge(world)
     run(swap, now_s, 20.0)
     assert swap.qos == qos(39)
-
-
-@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.15, 0.5])
-def test_nothing_happens_after_close(seconds):
-    """Closed at any moment of a swap, no writer lives on, and a request makes none."""
-    world, swap = make()
-    swap.current.acknowledges = False
-    swap.request(qos(2))
-    run(swap, 0.0, seconds)
-    swap.close()
-    swap.close()
-    swap.request(qos(3))
-    swap.step(seconds + 1.0)
-    assert not world.live
-    assert not swap.is_busy
 
 
 def test_a_writer_that_fails_to_close_leaves_no_other_behind():

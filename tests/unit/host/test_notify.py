@@ -10,7 +10,6 @@ import uuid
 import pytest
 
 from arpd.host.notify import Notifier, Watchdog
-from arpd.ros.peer import ProbeStatus
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -112,19 +111,3 @@ def test_one_hung_part_stops_the_heartbeat(heart):
     clock.finished_s = clock.now_s
     heartbeat.beat()
     assert pings() == 1
-
-
-def test_a_peer_says_whether_probes_arrive_and_since_when():
-    """The status changes at the first probe, after five seconds without one, and when probes return."""
-    said: list[str] = []
-    moments = iter(["10:00:00", "10:00:20", "10:00:30"])
-    status = ProbeStatus("reporting", tell=said.append, wall_clock=lambda: next(moments))
-    status.update(probed_s=-float("inf"), now_s=0.0)
-    for probed_s, now_s in ((10.0, 10.1), (14.0, 15.0), (15.0, 20.0), (15.0, 21.0), (30.0, 30.0)):
-        status.update(probed_s=probed_s, now_s=now_s)
-    assert said[0].startswith("reporting; no probes yet: ")
-    assert said[1:] == [
-        "reporting; probes arrive since 10:00:00",
-        "reporting; no probes since 10:00:20",
-        "reporting; probes arrive since 10:00:30",
-    ]

@@ -1,4 +1,4 @@
-"""Admission of messages from the network: rates, entries and refusals."""
+"""Admission of messages from the network: rates, and reports of peers."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.observation import MessageKind, MessageRefusal
+from arpd.model.observation import MessageRefusal
 from arpd.model.probing import PeerReport, Train
 from arpd.ros.peer_reports import Ceiling, PeerAdmission
 from arpd.ros.rate_limits import SourceRateLimiter, TokenBucket
-from arpd.ros.refused_messages import RefusedMessages
 from tests.examples import examples
 
 REPORT = PeerReport(peer="base", received_at_s=0.0, interval_s=0.1, rx_bytes=1000, rx_packets=2, last_probe=0)
@@ -43,22 +42,6 @@ def test_a_flood_takes_nothing_from_the_others():
     assert passed <= 2 + 2 * 10
     assert sum(limiter.lets_pass(f"invented{k}", 10.0) for k in range(5000)) < 1010
     assert limiter.lets_pass("honest", 10.0)
-
-
-def test_a_refusal_is_said_once_a_minute_and_always_counted(caplog):
-    """Each source is logged once a minute; invented ones cannot fill the log."""
-    now_s = 0.0
-    refusals = RefusedMessages(clock=lambda: now_s)
-    for now_s in (0.0, 1.0, 59.0, 61.0, 62.0):
-        refusals.note(MessageKind.PRICES, MessageRefusal.RATE, f"at {now_s:g} s")
-    assert [message.rpartition(": ")[2] for message in caplog.messages] == ["at 0 s", "at 61 s"]
-    for k in range(10_000):
-        refusals.note(MessageKind.REPORTS, MessageRefusal.QUOTA, "a lie", source=f"liar-{k}")
-    assert len(caplog.messages) < 50
-    assert refusals.counts == {
-        (MessageKind.PRICES, MessageRefusal.RATE): 5,
-        (MessageKind.REPORTS, MessageRefusal.QUOTA): 10_000,
-    }
 
 
 # -- reports
@@ -95,15 +78,6 @@ def test_no_more_peers_are_believed_than_there_are():
             admission.check(answering(admission, 1, peer=f"liar-{tick}-{k}"), now_s, ceiling=HIGH) for k in range(5)
         ]
         assert sum(isinstance(result, PeerReport) for result in results) <= 1
-
-
-def test_a_peer_that_floods_is_held_to_its_rate():
-    """Of ten thousand reports in a second about ninety are read."""
-    admission: Any = PeerAdmission(9)
-    admission.see(1)
-    results = [admission.check(answering(admission, 1), k / 10_000, ceiling=HIGH) for k in range(10_000)]
-    assert 60 <= sum(isinstance(result, PeerReport) for result in results) <= 95
-    assert results[-1] is MessageRefusal.RATE
 
 
 def test_no_report_exceeds_what_the_link_can_do():

@@ -16,7 +16,7 @@ from arpd.ros.graph_view import ON_EVERY_NODE
 from arpd.ros.link_topics import cannot_tell_hosts
 from arpd.ros.raw_reader import Sample
 from arpd.ros.rmw import rmw_of
-from arpd.ros.topic_measuring import list_topics
+from arpd.ros.topic_measuring import TopicSurvey
 
 OWN, ROBOT, RELAY = (bytes([place, *[1] * 11]) for place in range(3))  # on one host
 BEYOND = bytes([3] * 12)
@@ -101,14 +101,15 @@ class World:
         self.now_s = until_s
 
     def list(self, seconds=5.0, **options):
-        return list_topics(
-            SimpleNamespace(context=SimpleNamespace(get_domain_id=lambda: 1)),
-            seconds=seconds,
+        node = SimpleNamespace(context=SimpleNamespace(get_domain_id=lambda: 1))
+        survey = TopicSurvey(
+            node,
             is_of_interest=lambda _topic: True,
             clock=lambda: self.now_s,
             sleep=self.sleep,
             **{"prefix": "", **options},
         )
+        return survey.run(seconds)
 
     def survey(self, **options):
         return {topic.name: topic for topic in self.list(**options).topics}

@@ -10,13 +10,12 @@ from itertools import count
 import pytest
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
-from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.wire import FRAGMENT_BYTES, wire_size
-from arpd.relay.chunks import Chunks
 from arpd.relay.envelope import Assembly, decode_chunk, split
 from arpd.relay.flight import Flight, Receipt, Received
+from arpd.relay.link_queue import LinkQueue
 
 CAPACITY, OVERHEAD_S = 2.5e6, 1e-4
 LARGE, SMALL = 100_000, 500
@@ -41,7 +40,7 @@ class Link:
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
         self.flight, self.received = Flight(), Received()
-        self.queue = PacedQueue(Chunks(7, self.flight), Lane(self.write_together))
+        self.queue = LinkQueue(7, self.flight, Lane(self.write_together))
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
 

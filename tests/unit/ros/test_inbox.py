@@ -1,0 +1,127 @@
+"""Messages from the network, refused without harm, and without a network."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64MultiArray
+
+from arpd.model.observation import MessageRefusal
+from arpd.ros import inbox
+from arpd.ros.inbox import Inbox
+from arpd.ros.other_daemons import OtherDaemons
+from arpd.ros.price_message import encode_price
+from arpd.ros.raw_reader import Sample
+from tests.ros.price import FREE
+
+LOW, OWN, HIGH = (bytes([number]) * 16 for number in (1, 2, 3))
+
+
+class Clock:
+    """A stopped clock."""
+
+    now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Make no reader: the tests deliver."""
+    monkeypatch.setattr(inbox, "RawReader", lambda *_arguments, **_options: None)
+    monkeypatch.setattr(inbox, "ReadingThread", SimpleNamespace(of=lambda _context: None))
+    return Clock()
+
+
+NODE: Any = SimpleNamespace(context=None)
+QOS: Any = None
+
+
+@pytest.fixture
+def letters(clock):
+    """Return an inbox of numbers; `found` has those that arrived, and `words` what was said."""
+    found, words = [], []
+    made: Any = Inbox(
+        NODE,
+        None,
+        "/letters",
+        QOS,
+        decode=lambda sample: int(sample.data),
+        deliver=lambda _writer, number: found.append(number),
+        most_bytes=10,
+        most_hz=5.0,
+        clock=clock,
+        warn=words.append,
+    )
+    made.found, made.words = found, words
+    return made
+
+
+def test_a_flood_of_one_writer_costs_no_other(letters):
+    """Beyond its rate a writer is not heard, and another one is."""
+    for number in range(1000):
+        letters.take(Sample(str(number).encode(), LOW, 1))
+    letters.take(Sample(b"7", HIGH, 1))
+    assert letters.found == [*range(10), 7]
+    assert letters.refused == {MessageRefusal.RATE: 990}
+
+
+def test_nonsense_is_counted_by_reason_and_said_once_a_minute(letters, clock):
+    """Neither a message that is too long, nor one that is none, is delivered; each source is named once a minute."""
+    for clock.now_s in (0.0, 1.0, 61.0):
+        letters.take(Sample(b"x", LOW, 1))
+    letters.take(Sample(b"1" * 11, LOW, 1))
+    assert letters.refused == {MessageRefusal.MALFORMED: 3, MessageRefusal.SIZE: 1}
+    assert len(letters.words) == 3
+    for number in range(10_000):
+        letters.refuse(MessageRefusal.QUOTA, f"liar-{number}", "a lie")
+    assert letters.refused[MessageRefusal.QUOTA] == 10_000
+    assert len(letters.words) < 50
+    assert not letters.found
+
+
+@pytest.fixture
+def daemons(clock):
+    return OtherDaemons(NODE, OWN, tells_hosts=True, clock=clock)
+
+
+@pytest.fixture
+def price(daemons):
+    """Deliver a price, or other numbers; return where the active daemon is then."""
+
+    def price(writer, numbers=None):
+        numbers = encode_price(FREE) if numbers is None else numbers
+        daemons.inbox.take(Sample(serialize_message(Float64MultiArray(data=numbers)), writer, 1))
+        return daemons.active_daemon()
+
+    return price
+
+
+def test_only_a_lower_guid_makes_a_daemon_stand_by(price, daemons, clock):
+    """Its own price and those of higher GUIDs change nothing; the lower one counts until it is silent."""
+    assert [price(who) for who in (OWN, HIGH, LOW)] == ["", "", "another host"]
+    clock.now_s = 3.4
+    assert daemons.active_daemon() == "another host"
+    clock.now_s = 3.6
+    assert daemons.active_daemon() == ""
+
+
+def test_a_known_daemon_counts_while_its_price_is_heard_among_many(price, daemons, clock):
+    """Of more daemons than are remembered, a known one stays known while it sends its price."""
+    others = [bytes([number]) * 16 for number in range(100, 131)]
+    for clock.now_s in (0.0, 2.0):
+        for who in (LOW, *others):
+            price(who)
+    clock.now_s = 5.0
+    assert daemons.active_daemon() == "another host"
+
+
+def test_what_is_no_price_makes_no_daemon(price, daemons):
+    """Nonsense is counted, and changes nothing."""
+    assert [price(LOW, numbers) for numbers in ([1.0], [1.0] * 1000)] == ["", ""]
+    assert daemons.inbox.refused == {MessageRefusal.MALFORMED: 1, MessageRefusal.SIZE: 1}
