@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 REPO = Path(__file__).resolve().parents[1]
-#: What a user follows from an empty computer to a topic under arpd's care, in this order.
+#: What a user follows from an empty computer to topics that arpd manages, in this order.
 SECTIONS = (
     ("README.md", "Install"),
-    ("README.md", "Put topics under arpd's care"),
     ("README.md", "Configure"),
     ("docs/operating.md", "The Fast DDS profile"),
 )

@@ -6,15 +6,12 @@ import json
 import logging
 import os
 import ssl
-from contextlib import closing
-from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import ValidationError
-from tornado.httpclient import HTTPClient, HTTPError
-from tornado.simple_httpclient import HTTPTimeoutError, SimpleAsyncHTTPClient
 
+from arpd.cli.kept_connection import KeptConnection
 from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, plain_host
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
@@ -25,8 +22,6 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from tornado.httpclient import HTTPResponse
-
 _DEADLINE_S = 3.0  # of a whole answer
 _MOST_BYTES = 16 * 2**20
 _LONGEST = 400  # characters of a text
@@ -36,29 +31,49 @@ _LARGEST = 2**63  # counts beyond it are nonsense
 logging.getLogger("tornado").addHandler(logging.NullHandler())
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DaemonAddress:
-    """A daemon to ask.
+class Daemon:
+    """A daemon that is asked, over one connection as long as it keeps that.
 
     Parameters
     ----------
     url : base URL, like http://127.0.0.1:9464
     cacert : CA that verifies the daemon's certificate, None = the system's
     user, password : basic authentication; without a user there is none
+
+    Raises
+    ------
+    UsageError
+        If the URL is not an HTTP address, or the CA cannot be used.
     """
 
-    url: str
-    cacert: Path | None = None
-    user: str = ""
-    password: str = field(default="", repr=False)
+    def __init__(self, url: str, *, cacert: Path | None = None, user: str = "", password: str = "") -> None:
+        self.url, self._user = url, user
+        scheme = url.lower().partition("://")[0]
+        if scheme not in {"http", "https"}:
+            raise UsageError(f"--url {url!r} is not an HTTP address; write it like {DEFAULT_URL}")
+        try:
+            self._connection = KeptConnection(
+                url,
+                tls=_tls(cacert) if scheme == "https" else None,
+                user=user,
+                password=password,
+                deadline_s=_DEADLINE_S,
+                most_bytes=_MOST_BYTES,
+            )
+        except ValueError as error:
+            raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._connection.close()
 
     def document(self) -> dict[str, Any]:
         """Return the status document as it came; before the first tick it has `api_version` and `ready` only.
 
         Raises
         ------
-        UsageError
-            If the URL is not an HTTP address, or the CA cannot be used.
         DaemonUnreachableError
             If nothing answers there, something else than arpd answers, or arpd refuses.
         """
@@ -74,7 +89,7 @@ class DaemonAddress:
 
         Raises
         ------
-        UsageError, DaemonUnreachableError, ArpdError
+        DaemonUnreachableError, ArpdError
             As `document` and `read_status`.
         """
         return read_status(self.document(), url=self.url)
@@ -89,22 +104,18 @@ class DaemonAddress:
 
     def _answer(self, path: str) -> tuple[int, bytes]:
         url = self.url
-        if not url.lower().startswith(("http://", "https://")):
-            raise UsageError(f"--url {url!r} is not an HTTP address; write it like {DEFAULT_URL}")
         try:
-            answer = self._fetch(url.rstrip("/") + path)
+            answer = self._connection.get(path)
         except OSError as error:
             raise _no_answer(url, error) from None
-        except HTTPError as error:
-            raise _no_answer(url, TimeoutError("timed out") if isinstance(error, HTTPTimeoutError) else error) from None
-        except (ValueError, KeyError) as error:
+        except ValueError as error:
             raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
-        code, body = answer.code, answer.body or b""
+        code, body = answer.code, answer.body
         if HTTPStatus.MULTIPLE_CHOICES <= code < HTTPStatus.BAD_REQUEST:
             where = printable(answer.headers.get("Location", ""), longest=200)
             why = f"{url} leads to {where}; write that in --url if it is the daemon"
         elif code == HTTPStatus.UNAUTHORIZED:
-            wrong = f"refuses the password of {self.user}" if self.user else "asks for a user; give --user NAME"
+            wrong = f"refuses the password of {self._user}" if self._user else "asks for a user; give --user NAME"
             why = f"the daemon at {url} {wrong}; the password is taken from ${PASSWORD}"
         elif code == HTTPStatus.TOO_MANY_REQUESTS:
             why = f"the daemon at {url} had too many wrong passwords from here; wait a few seconds"
@@ -114,52 +125,26 @@ class DaemonAddress:
             return code, body  # a daemon that is not ready has its reason in the body of its 503
         raise DaemonUnreachableError(why)
 
-    def _fetch(self, url: str) -> HTTPResponse:
-        """Return the whole answer, which has one deadline, however slowly it comes.
 
-        Tornado asks no proxy of the environment, as the daemon is on this network, and for gzip: a fifth of the bytes,
-        which may cross the link that arpd protects.
-        """
-        client = HTTPClient(SimpleAsyncHTTPClient, force_instance=True, max_body_size=_MOST_BYTES)
-        with closing(client):
-            return client.fetch(
-                url,
-                raise_error=False,
-                follow_redirects=False,
-                connect_timeout=_DEADLINE_S,
-                request_timeout=_DEADLINE_S,
-                ssl_options=self._tls() if url.lower().startswith("https:") else None,
-                **({"auth_username": self.user, "auth_password": self.password} if self.user else {}),
-            )
-
-    def _tls(self) -> ssl.SSLContext:
-        try:
-            return ssl.create_default_context(cafile=self.cacert)
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise UsageError(f"--cacert {str(self.cacert)!r} cannot be used ({why}); name a PEM file") from None
-
-
-def address(options: argparse.Namespace) -> DaemonAddress:
-    """Return the daemon that the options name.
+def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:
+    """Return the daemon that the options name, or the one at another address.
 
     Raises
     ------
     UsageError
         If there is a user without a password, or one whose password would cross the network in clear.
     """
+    url = url or options.url
     if options.user and PASSWORD not in os.environ:
         raise UsageError(
             f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"
         )
-    if options.user and not options.password_in_clear and (host := plain_host(options.url)):
+    if options.user and not options.password_in_clear and (host := plain_host(url)):
         raise UsageError(
             f"--user over http:// sends the password to {printable(host)} in clear; "
             f"write https:// in --url, or give {IN_CLEAR}"
         )
-    return DaemonAddress(
-        url=options.url, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, "")
-    )
+    return Daemon(url, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, ""))
 
 
 def read_status(document: dict[str, Any], *, url: str) -> Status | None:
@@ -189,6 +174,14 @@ def read_history(document: object) -> History | None:
         return History.model_validate(_shown(document))
     except ValidationError:
         return None
+
+
+def _tls(cacert: Path | None) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=cacert)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise UsageError(f"--cacert {str(cacert)!r} cannot be used ({why}); name a PEM file") from None
 
 
 def _json(body: bytes) -> Any:

@@ -6,15 +6,17 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli.columns import aligned, short_name
+from rich.text import Text
+
+from arpd.cli.output import FittedTable, show
 from arpd.daemon.compare import WARM_UP_S, events, summarize
 from arpd.daemon.scenario import Moment
 from arpd.model.endpoints import Direction
-from arpd.model.quantities import format_duration, format_number, format_rate, format_share, format_size, printable
+from arpd.model.quantities import format_duration, format_number, format_rate, format_size, printable
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
     from pathlib import Path
 
     from arpd.daemon.compare import Comparison, LinkEvent, Summary
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
     from arpd.sim.trace import LinkTrace
 
 _MBIT = 1e6 / 8  # bytes
-_WAYS = ("arpd", "without", "oracle")
-_WAY = max(map(len, _WAYS))
 _MOST_EVENTS = 25
 
 
@@ -53,33 +53,24 @@ class Asked:
     is_demo: bool
 
 
-def comparison_tables(asked: Asked, comparison: Comparison) -> str:
-    """Lay out the three ways side by side: overall, per topic, and what arpd did when."""
-    found = events(comparison.arpd)
+def show_comparison(asked: Asked, comparison: Comparison) -> None:
+    """Print the three ways side by side: overall, per topic, and what arpd did when."""
     rates: dict[str, Callable[[TopicResult], str]] = {
-        "delivered Hz": lambda topic: format_number(topic.received / asked.duration_s),
-        "lost %": lambda topic: f"{100 * topic.loss_ratio:.2f}",
+        "DELIVERED, HZ": lambda topic: format_number(topic.received / asked.duration_s),
+        "LOST, %": lambda topic: f"{100 * topic.loss_ratio:.2f}",
     }
     delays: dict[str, Callable[[TopicResult], str]] = {
-        "latency p50, ms": lambda topic: _milliseconds(topic.latency_p50_s),
-        "latency p99, ms": lambda topic: _milliseconds(topic.latency_p99_s),
-        "age p99, ms": lambda topic: _milliseconds(topic.age_p99_s),
+        "LATENCY P50, MS": lambda topic: _milliseconds(topic.latency_p50_s),
+        "LATENCY P99, MS": lambda topic: _milliseconds(topic.latency_p99_s),
+        "AGE P99, MS": lambda topic: _milliseconds(topic.age_p99_s),
     }
-    lines = [
-        *_head(asked, comparison),
-        "",
-        *_overall(_summaries(asked, comparison)),
-        "",
-        *_topics(asked, comparison, rates),
-        "",
-        *_topics(asked, comparison, delays),
-        "",
-        f"what arpd did ({len(found)} events)" if found else "arpd made no plan",
-        *aligned([_event_cells(event) for event in found[:_MOST_EVENTS]] or [("",)], words=2),
-    ]
+    found = events(comparison.arpd)
+    what_it_did = [("", "WHAT ARPD DID", "CAPACITY"), *map(_event_cells, found[:_MOST_EVENTS])]
+    show(*map(Text, _head(asked, comparison)), "", _overall(_summaries(asked, comparison)))
+    show("", _topics(asked, comparison, rates), "", _topics(asked, comparison, delays))
+    show("", FittedTable(rows=what_it_did, words=frozenset(what_it_did[0])) if found else "arpd made no plan")
     if len(found) > _MOST_EVENTS:
-        lines.append(f"  and {len(found) - _MOST_EVENTS} more; --json has all")
-    return "\n".join(lines).rstrip()
+        show(f"and {len(found) - _MOST_EVENTS} more; --json has all")
 
 
 def comparison_document(asked: Asked, comparison: Comparison) -> dict[str, Any]:
@@ -150,79 +141,59 @@ def _value(value: Any) -> Any:
 def _head(asked: Asked, comparison: Comparison) -> list[str]:
     rates = [moment.truth_bytes_per_second for moment in comparison.arpd.moments]
     low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
-    model = asked.model
-    about = [f"delay {format_duration(model.delay_s)}", f"queue {format_size(model.queue_bytes)}"]
-    if not model.pushes_back:
-        about.append("bottleneck between the hosts")
-    if model.loss:
-        about.append(f"loss {format_share(model.loss)}")
-    if model.losses:
-        about.append("loss as recorded")
-    if model.packet_overhead_s:
-        most = f"at most {model.aggregate_packets} packets" if model.aggregate_packets > 1 else "one packet"
-        about.append(f"{format_duration(model.packet_overhead_s)} per transmission of {most}")
     published = sum(topic.payload_bytes * topic.rate_hz for topic in asked.robot)
     robot = f"{count(len(asked.robot), 'topic')} with {format_rate(published)} of payload"
-    if asked.config is None:
-        robot = f"the demo robot, {robot}; --config names another"
-    elif asked.is_demo:
-        config = printable(str(asked.config), longest=200)
-        robot = f"the demo robot, {robot}; no topic in {config} has a payload and a source_rate_hz"
+    if asked.is_demo:
+        why = "no configuration has a payload and a source_rate_hz" if asked.config else "--config names another"
+        robot = f"the demo robot, {robot}; {why}"
+    model = f"delay {format_duration(asked.model.delay_s)}, queue {format_size(asked.model.queue_bytes)}"
     return [
-        f"link     {printable(asked.trace.name)}: {low} to {high}, mean {mean}",
-        f"         {', '.join(about)}",
+        f"link     {printable(asked.trace.name)}: {low} to {high}, mean {mean}; {model}",
         f"robot    {robot}",
         "ways     arpd; without it (rclpy's defaults, unpaced); arpd with an oracle for its estimator",
         f"runs     {format_duration(asked.duration_s)} each, seed {asked.seed}",
     ]
 
 
-def _overall(summaries: dict[str, Summary]) -> list[str]:
+def _overall(summaries: dict[str, Summary]) -> FittedTable:
     best = summaries["oracle"].goodput_bytes_per_second
 
     def row(title: str, cell: Callable[[Summary], str]) -> tuple[str, ...]:
         return (title, *(cell(summary) for summary in summaries.values()))
 
-    return aligned(
-        [
-            (f"from {WARM_UP_S:g} s on", *_WAYS),
-            row("payload delivered, Mbit/s", lambda s: _mbit(s.goodput_bytes_per_second)),
-            row("of the oracle's, %", lambda s: f"{100 * s.goodput_bytes_per_second / best:.1f}" if best else "-"),
-            row("of the link carried, %", lambda s: _percent(s.carried_share)),
-            row("budget, mean, Mbit/s", lambda s: _mbit(s.budget_mean_bytes_per_second)),
-            row("longest queue, ms", lambda s: _milliseconds(s.queue_peak_s)),
-            row("99 % of queues below, ms", lambda s: _milliseconds(s.queue_p99_s)),
-            row("estimate off by, median, %", lambda s: _percent(s.error_median)),
-            row("estimate off by, p90, %", lambda s: _percent(s.error_p90)),
-            row("plans per minute", lambda s: f"{s.plans_per_minute:.1f}"),
-            row("QoS swaps per minute", lambda s: f"{s.swaps_per_minute:.1f}"),
-            row("probes and reports, % of link", lambda s: f"{100 * s.measuring_share:.2f}"),
-        ],
-        words=0,
-    )
+    rows = [
+        (f"FROM {WARM_UP_S:g} S ON", *(way.upper() for way in summaries)),
+        row("payload delivered, Mbit/s", lambda s: _mbit(s.goodput_bytes_per_second)),
+        row("of the oracle's, %", lambda s: f"{100 * s.goodput_bytes_per_second / best:.1f}" if best else "-"),
+        row("of the link carried, %", lambda s: _percent(s.carried_share)),
+        row("budget, mean, Mbit/s", lambda s: _mbit(s.budget_mean_bytes_per_second)),
+        row("longest queue, ms", lambda s: _milliseconds(s.queue_peak_s)),
+        row("99 % of queues below, ms", lambda s: _milliseconds(s.queue_p99_s)),
+        row("estimate off by, median, %", lambda s: _percent(s.error_median)),
+        row("estimate off by, p90, %", lambda s: _percent(s.error_p90)),
+        row("plans per minute", lambda s: f"{s.plans_per_minute:.1f}"),
+        row("QoS swaps per minute", lambda s: f"{s.swaps_per_minute:.1f}"),
+        row("probes and reports, % of link", lambda s: f"{100 * s.measuring_share:.2f}"),
+    ]
+    return FittedTable(rows=rows)
 
 
-def _topics(asked: Asked, comparison: Comparison, blocks: dict[str, Callable[[TopicResult], str]]) -> list[str]:
-    """Lay out numbers per topic over the whole run, three ways per number."""
-
-    def three(cells: Iterable[str]) -> str:
-        return " " + " ".join(cell.rjust(_WAY) for cell in cells)
-
-    rows = [("", "source", *blocks), ("topic, whole run", "Hz", *(three(_WAYS) for _ in blocks))]
-    for topic, *results in zip(asked.robot, *(way.topics for way in comparison.ways.values()), strict=True):
+def _topics(asked: Asked, comparison: Comparison, figures: dict[str, Callable[[TopicResult], str]]) -> FittedTable:
+    """Lay out figures per topic over the whole run, three ways each."""
+    ways = comparison.ways
+    titles = [f"{figure if way == 'arpd' else ''}\n{way}" for figure in figures for way in ways]
+    rows = [("TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles)]
+    for topic, *results in zip(asked.robot, *(way.topics for way in ways.values()), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""
-        cells = (three(map(cell, results)) for cell in blocks.values())
-        rows.append((short_name(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells))
-    return aligned(rows, words=0)
+        cells = (cell(result) for cell in figures.values() for result in results)
+        rows.append((printable(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells))
+    return FittedTable(rows=rows)
 
 
-def _event_cells(event: LinkEvent) -> tuple[str, ...]:
-    after = event.after_bytes_per_second
-    if after is None:
-        return ("", f"{event.t_s:.1f} s", event.what, "")
-    before = event.before_bytes_per_second
-    change = f"{format_rate(before)} -> {format_rate(after)}" if before is not None else f"-> {format_rate(after)}"
-    return ("", f"{event.t_s:.1f} s", event.what, change)
+def _event_cells(event: LinkEvent) -> tuple[str, str, str]:
+    after, before = event.after_bytes_per_second, event.before_bytes_per_second
+    change = "" if after is None else f"{'' if before is None else format_rate(before)} -> {format_rate(after)}".strip()
+    return f"{event.t_s:.1f} s", event.what, change
 
 
 def _milliseconds(seconds: float | None) -> str:

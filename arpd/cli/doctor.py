@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
-import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from arpd.cli.columns import WITHOUT_END, wrapped
-from arpd.cli.options import DEFAULT_URL, add_address, within
+from arpd.cli.options import add_address, within
 from arpd.cli.progress import progress
-from arpd.report.health import Health
+from arpd.model.errors import NotKnownError
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
-    from arpd.cli.checkup import Checkup
+    from collections.abc import Mapping
+
+    from arpd.cli.checkup import Finding, Here
 
 _LISTEN_S = 6.0  # a participant announces itself every three seconds
 _MOST_LISTEN_S = 600.0
@@ -70,66 +69,61 @@ exit codes: 0 nothing to do (a check may not have been possible), 1 something to
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from arpd.cli.checkup import Asked, Senses, check_up
-    from arpd.cli.client import address
+    from arpd.cli.checkup import Here
+    from arpd.cli.output import width_of_output
 
-    asked = Asked(
-        daemon=address(options),
-        has_own_url=options.url != DEFAULT_URL,
-        config_path=options.config,
-        interface=options.interface,
-        is_far=options.far,
-        listen_s=options.listen,
-    )
     with progress(f"Looking, and listening to discovery for {options.listen:g} s"):
-        found = check_up(asked, Senses())
+        here = Here(options)
+        findings = check_up(here)
+    is_well = not any(each.health == "wrong" for each in findings.values())
     if options.json:
-        print(json.dumps(document(found), indent=2))
+        checks = [{"check": about, **asdict(each)} for about, each in findings.items()]
+        end, interface = "base" if here.is_far else "robot", here.found_interface or None
+        print(json.dumps({"ok": is_well, "end": end, "interface": interface, "checks": checks}, indent=2))
     else:
-        # A pipe has no width, unless COLUMNS gives it one.
-        width = shutil.get_terminal_size((WITHOUT_END, WITHOUT_END)).columns
-        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack a character
-        print("\n".join(lines(found, width=width, is_verbose=options.verbose)))
-    return 1 if any(each.health is Health.WRONG for each in found.findings.values()) else 0
+        print("\n".join(lines(findings, width=width_of_output(), is_verbose=options.verbose)))
+    return 0 if is_well else 1
 
 
-def document(found: Checkup) -> dict[str, Any]:
-    """Return a checkup as a JSON document."""
-    return {
-        "ok": not any(each.health is Health.WRONG for each in found.findings.values()),
-        "end": "base" if found.is_far else "robot",
-        "interface": found.interface or None,
-        "checks": [{"check": about, **asdict(each)} for about, each in found.findings.items()],
-    }
+def check_up(here: Here) -> dict[str, Finding]:
+    """Return what every check finds, by its name; a check that does not concern this computer finds nothing."""
+    from arpd.cli import checks_host, checks_link
+    from arpd.cli.checkup import unknown
+
+    findings = {}
+    for check in (*checks_link.CHECKS, *checks_host.CHECKS):
+        try:
+            found = check(here)
+        except NotKnownError as error:
+            found = unknown(str(error))
+        if found is not None:
+            findings[check.__name__.replace("_", " ")] = found
+    return findings
 
 
-def lines(found: Checkup, *, width: int = WITHOUT_END, is_verbose: bool = False) -> list[str]:
-    """Lay a checkup out for a terminal: what is wrong, each with its remedies, what is not known, and a count.
+def lines(findings: Mapping[str, Finding], *, width: int, is_verbose: bool = False) -> list[str]:
+    """Lay findings out for a terminal: what is wrong, each with its remedies, what is not known, and a count.
 
     Parameters
     ----------
     width : no sentence is wider; a remedy stays in one line, so that it can be copied (columns)
     is_verbose : whether what is fine is shown, too
     """
+    from arpd.cli.output import wrapped
+
     wrong, unsure, fine = (
-        {about: each for about, each in found.findings.items() if each.health is health}
-        for health in (Health.WRONG, Health.UNKNOWN, Health.FINE)
+        {about: each for about, each in findings.items() if each.health == health}
+        for health in ("wrong", "unknown", "fine")
     )
+    alike: dict[str, list[str]] = {}
+    for about, each in unsure.items():
+        alike.setdefault(each.text, []).append(about)
+    sentences = [(f"wrong: {about}: {each.text}", each.remedies) for about, each in wrong.items()]
+    sentences += [(f"not known: {', '.join(abouts)}: {why}", ()) for why, abouts in alike.items()]
+    sentences += [(f"fine: {about}: {each.text}", ()) for about, each in fine.items() if is_verbose]
     shown: list[str] = []
-    for about, each in wrong.items():
-        shown += _sentence(f"wrong: {about}: {each.text}", width)
-        shown += [f"    {remedy}" for remedy in each.remedies]
-    for why in dict.fromkeys(each.text for each in unsure.values()):
-        alike = ", ".join(about for about, each in unsure.items() if each.text == why)
-        shown += _sentence(f"not known: {alike}: {why}", width)
-    if is_verbose:
-        for about, each in fine.items():
-            shown += _sentence(f"fine: {about}: {each.text}", width)
+    for sentence, remedies in sentences:
+        shown += [*wrapped(sentence, width, indent=2, most=_MOST_LINES), *(f"    {remedy}" for remedy in remedies)]
     parts = [count(len(wrong), "thing") + " to do"] if wrong else []
-    parts += [f"{count(len(fine), 'check')} fine"]
-    parts += [f"{len(unsure)} not known"] if unsure else []
+    parts += [f"{count(len(fine), 'check')} fine", *([f"{len(unsure)} not known"] if unsure else [])]
     return [*shown, ", ".join(parts)]
-
-
-def _sentence(text: str, width: int) -> list[str]:
-    return wrapped(text, width, indent=2, most=_MOST_LINES)

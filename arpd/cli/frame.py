@@ -11,8 +11,7 @@ from rich.segment import Segment
 from rich.styled import Styled
 from rich.text import Text
 
-from arpd.cli.columns import wall_clock, wrapped
-from arpd.cli.output import FittedTable
+from arpd.cli.output import FittedTable, wall_clock, wrapped
 from arpd.model.quantities import (
     format_duration,
     format_number,
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 _LABEL, _FIGURES, _LEGEND = 9, 44, 14
 _LEAST_SPARKLINE, _MOST_SPARKLINE = 8, 60
 _LEAST_EVENTS, _PRINTED_EVENTS = 3, 5
+_WORDS = {"floor": "minimum rate"}  # of what binds a topic; the others say what they are
 _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
@@ -131,7 +131,13 @@ class Frame:
         courses: list[tuple[str, str, Sequence[float | None], Callable[[Iterable[float]], float], Show]] = [
             ("link", capacity, rates, _mean, format_rate),
             ("queue", ", ".join(queue), delays, max, format_duration),
-            ("admitted", f"{format_share(status.gate)} above the floors", past.gate if past else [], min, format_share),
+            (
+                "allowed",
+                f"{format_share(status.gate)} above the minimum rates",
+                past.gate if past else [],
+                min,
+                format_share,
+            ),
         ]
         lines = []
         for label, now, samples, worst, show in courses:
@@ -248,7 +254,9 @@ def topic_table(topics: Sequence[Topic]) -> FittedTable:
     columns = [column for column in columns if has_content.get(column[0], True)]
     titles, ranks, cells = zip(*columns, strict=True)
     rows = [titles, *([cell(topic) for cell in cells] for topic in topics)]
-    return FittedTable(rows=rows, ranks=ranks, styles=[_style(topic) for topic in topics])
+    return FittedTable(
+        rows=rows, ranks=ranks, words=frozenset({"BOUND BY"}), styles=[_style(topic) for topic in topics]
+    )
 
 
 def _rank(topic: Topic) -> tuple[bool, float, float, str, str]:
@@ -297,7 +305,7 @@ def _withheld(topic: Topic) -> str:
 def _bound_by(topic: Topic) -> str:
     if topic.refusal:
         return f"{PACED_ONLY}: {topic.refusal}" if topic.refusal_lasts else topic.refusal
-    return topic.binding.replace("_", " ") if topic.binding else "-"
+    return _WORDS.get(topic.binding, topic.binding.replace("_", " ")) if topic.binding else "-"
 
 
 def _squeezed(above: Sequence[Text], topics: Sequence[Topic], log: Sequence[Text], height: int) -> list[RenderableType]:

@@ -1,9 +1,11 @@
-"""Standard output as rich writes to it, and a table that fits the width it is printed in."""
+"""Standard output as rich writes to it: tables that fit the width they are printed in, and texts that are wrapped."""
 
 from __future__ import annotations
 
 import shutil
 import sys
+import textwrap
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,27 +14,51 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from arpd.cli.columns import WITHOUT_END, from_end
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rich.console import ConsoleOptions, RenderableType
     from rich.segment import Segment
 
+WITHOUT_END = 10_000  # columns, or lines, of a pipe
 _GAP = 2
 # A first column up to _WHOLE_NAME wide is worth more than a column of rank 5; the others keep it and the last readable.
 _WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8
 
 
-def show(shown: RenderableType) -> None:
+def width_of_output() -> int:
+    """Return the width of standard output, which may lack characters: a pipe's has no end unless COLUMNS gives one."""
+    sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+    return shutil.get_terminal_size((WITHOUT_END, WITHOUT_END)).columns
+
+
+def show(*parts: RenderableType) -> None:
     """Print to standard output: with colours on a terminal, no line wider than it, or than COLUMNS says."""
-    width, height = shutil.get_terminal_size((WITHOUT_END, WITHOUT_END))
-    sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr] # a terminal may lack a character
-    console = Console(width=width, height=height, highlight=False)
+    console = Console(width=width_of_output(), height=WITHOUT_END, highlight=False)
     with console.capture() as drawn:
-        console.print(shown)
+        for part in parts:
+            console.print(part)
     print("\n".join(line.rstrip() for line in drawn.get().splitlines()))
+
+
+def wrapped(text: str, width: int, *, indent: int, most: int = 2) -> list[str]:
+    """Break a text into ``most`` lines, the second and later ones indented; an ellipsis stands for the rest."""
+    return textwrap.wrap(
+        text,
+        max(width, 3 * indent, 20),
+        subsequent_indent=" " * indent,
+        max_lines=most,
+        placeholder=" …",
+        break_on_hyphens=False,
+    )
+
+
+def wall_clock(unix_time_s: float | None, pattern: str = "%H:%M:%S") -> str:
+    """Return a Unix time as local time, question marks for a time outside the calendar."""
+    try:
+        return "??:??:??" if unix_time_s is None else time.strftime(pattern, time.localtime(unix_time_s))
+    except (OverflowError, ValueError, OSError):
+        return "??:??:??"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,20 +70,20 @@ class FittedTable:
 
     Parameters
     ----------
-    rows : of equally many cells, the headings first
-    ranks : one per column; 0 is never dropped
-    words : headings of columns between the first and the last that are flush left; the others there hold numbers
+    rows : of equally many cells, the headings first, which may have two lines
+    ranks : one per column; 0 is never dropped, as none is without any
+    words : headings of columns that are flush left, as the first one is; the others hold numbers
     styles : of each row after the headings, without any by default
     """
 
     rows: Sequence[Sequence[str]]
-    ranks: Sequence[int]
+    ranks: Sequence[int] = ()
     words: frozenset[str] = frozenset()
     styles: Sequence[str] = ()
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Segment]:
         """Yield the table that fits."""
-        widths = [max(cell_len(row[column]) for row in self.rows) for column in range(len(self.ranks))]
+        widths = [max(map(_width, column)) for column in zip(*self.rows, strict=True)]
         kept = self._kept(widths, options.max_width)
         first, last = kept[0], kept[-1]
         room = options.max_width - sum(widths[column] + _GAP for column in kept[1:-1]) - _GAP
@@ -66,12 +92,12 @@ class FittedTable:
         table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold underline")
         for column in kept:
             heading = self.rows[0][column]
-            is_number = column not in {first, last} and heading not in self.words
+            is_number = column != first and heading not in self.words
             table.add_column(
                 Text(heading), justify="right" if is_number else "left", no_wrap=True, width=widths[column]
             )
         for row, style in zip(self.rows[1:], self.styles or [""] * len(self.rows), strict=False):
-            name = from_end(row[first], widths[first])
+            name = _from_end(row[first], widths[first])
             table.add_row(*map(Text, (name, *(row[column] for column in kept[1:]))), style=style)
         # Before rich 15 a table counts the gap that it leaves out after the last column.
         yield from console.render(table, options.update_width(options.max_width + _GAP))
@@ -79,11 +105,23 @@ class FittedTable:
     def _kept(self, widths: Sequence[int], width: int) -> list[int]:
         kept = list(range(len(widths)))
 
+        def rank(column: int) -> int:
+            return self.ranks[column] if self.ranks else 0
+
         def excess(longest_name: int) -> int:
             least = min(widths[0], longest_name) + min(widths[-1], _LEAST_LAST)
             return least + sum(widths[column] for column in kept[1:-1]) + _GAP * (len(kept) - 1) - width
 
         for longest_name, lowest_rank in ((_WHOLE_NAME, 5), (_LEAST_NAME, 1)):
-            while excess(longest_name) > 0 and any(self.ranks[column] >= lowest_rank for column in kept):
-                kept.remove(max(kept, key=lambda column: self.ranks[column]))
+            while excess(longest_name) > 0 and any(rank(column) >= lowest_rank for column in kept):
+                kept.remove(max(kept, key=rank))
         return kept
+
+
+def _width(text: str) -> int:
+    return max(map(cell_len, text.split("\n")))
+
+
+def _from_end(text: str, longest: int) -> str:
+    """Keep the end of a text that is too long."""
+    return text if len(text) <= longest else f"…{text[1 - longest :]}" if longest > 1 else "…"

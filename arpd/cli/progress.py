@@ -42,21 +42,16 @@ def progress(title: str, *, total: float | None = None) -> Iterator[Progress]:
     total : number of steps, or another measure of the whole; None = unknown
     """
     from rich.console import Console
-    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
+    from rich.progress import TextColumn
 
     with Bar(
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=24),
-        TextColumn("{task.fields[what]}", markup=False, style="dim"),
-        TimeElapsedColumn(),
-        *([] if total is None else [TimeRemainingColumn(elapsed_when_finished=True)]),
+        *Bar.get_default_columns(),
+        TextColumn("{task.fields[what]}", markup=False),
         console=Console(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
         # rich moves printed text to the bar's stream; that is right only where both go to the same terminal.
         redirect_stdout=sys.stdout.isatty(),
-        refresh_per_second=4,
     ) as bar:
         yield Progress(bar, bar.add_task(title, total=total, what=""))

@@ -103,7 +103,7 @@ def _add_link(group: argparse._ArgumentGroup) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from arpd.cli.comparison import Asked, comparison_document, comparison_tables
+    from arpd.cli.comparison import Asked, comparison_document, show_comparison
     from arpd.cli.progress import progress
     from arpd.daemon.compare import compare
     from arpd.sim.demo import demo_topics
@@ -142,7 +142,7 @@ def _simulate(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
     else:
-        print(comparison_tables(asked, comparison))
+        show_comparison(asked, comparison)
     return 0
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _PAPER = ("rmax", "sensing", "actuation", "rmin", "dmin", "dmax")
 _PAPER_NEEDS = ("rmax", "sensing", "actuation")
-_OFFLINE = ("config", "capacity", "sweep", "status", "points")
-_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity or --sweep (your topics)"
+_OFFLINE = ("config", "capacity", "status")
+_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
 
 
 def add_solve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,8 +35,8 @@ share. Exits 1 when the constraints cannot be met.
                                Dmax*R/Rmax - D >= Dmin                       (3)
                                Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
 
-With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or over a range of
-capacities. Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running
+With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or the rates on
+several. Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running
 daemon measured (--status). Needs neither ROS nor a daemon.""",
         epilog="""\
 examples:
@@ -45,13 +45,13 @@ examples:
   arpd solve --rmax 100 --sensing 80 --actuation 1            infeasible: too many topics
 
   arpd solve --config robot.yaml --capacity 5mbit             rate, DEADLINE and DEPTH of every topic
-  arpd solve --config robot.yaml --sweep 0.5mbit:54mbit       how the rates move with the link
+  arpd solve --config robot.yaml --capacity 1mbit,5mbit,20mbit   how the rates move with the link
   arpd status --json > robot.json && arpd solve --config new.yaml --status robot.json --capacity 5mbit
 
 what a rate or depth is bound by:
   desired   it has what it asked for: max_rate_hz, or all that its source publishes
   link      a faster link would give it more; weight decides which topic gets how much
-  floor     min_rate_hz or min_depth keeps it up
+  minimum   min_rate_hz or min_depth keeps it up
   latency   latency_budget: a deeper history would only be older
   max       max_depth            memory    program.memory_budget""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -78,12 +78,10 @@ def _add_paper(group: argparse._ArgumentGroup) -> None:
 
 def _add_offline(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
-    group.add_argument("--capacity", metavar="RATE", help="plan for a link of this capacity, like 5mbit")
-    group.add_argument("--sweep", metavar="LOW:HIGH", help="plan for capacities between two, like 0.5mbit:54mbit")
+    group.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
     group.add_argument(
         "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
     )
-    group.add_argument("--points", type=int, metavar="N", help="capacities in the sweep's table (default 8)")
 
 
 def _solve(options: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from arpd.cli.status_file import SavedStatus, read_status
-from arpd.govern.what_if import OfflinePlanner, spread
+from arpd.govern.what_if import OfflinePlanner
 from arpd.host.config.load import load_settings
 from arpd.host.config.yaml_source import Fault, Place, config_error
 from arpd.model.errors import ArpdError, UsageError
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
     from arpd.solve.topics import Traffic
 
-DEFAULT_POINTS = 8  # as many columns as fit a terminal
-_MOST_POINTS = 1000
 _FASTEST = "100gbit"  # as in the configuration
 _EXAMPLE = "topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]"
 
@@ -51,7 +49,7 @@ class _Offered:
 
 
 def solve_allocation(options: argparse.Namespace) -> int:
-    """Run ``arpd solve --config`` with exactly one of ``--capacity`` and ``--sweep``."""
+    """Run ``arpd solve --config``."""
     capacities = _capacities(options)
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     offered = _offered(settings, options)
@@ -62,46 +60,27 @@ def solve_allocation(options: argparse.Namespace) -> int:
     plans = [planner.plan(capacity) for capacity in capacities]
     if options.json:
         documents = [_document(plan, settings, offered.left_out) for plan in plans]
-        print(json.dumps(documents if options.sweep else documents[0], indent=2))
+        print(json.dumps(documents if len(plans) > 1 else documents[0], indent=2))
     else:
-        _print_table(plans, settings, is_sweep=options.sweep is not None)
+        from arpd.cli.solve_tables import show_plan, show_rates
+
+        show_rates(plans, settings) if len(plans) > 1 else show_plan(plans[0], settings)
     if offered.left_out:
         print(_note(offered.left_out, options), file=sys.stderr)
     return 0
 
 
-def _capacities(options: argparse.Namespace) -> tuple[float, ...]:
-    """Return the capacities of the options (bytes/s), after checking the options that go with them."""
-    if (options.capacity is None) == (options.sweep is None):
-        raise UsageError("--config needs one of --capacity RATE (5mbit) and --sweep LOW:HIGH (0.5mbit:54mbit)")
-    if options.sweep is None:
-        if options.points is not None:
-            raise UsageError("--points belongs to --sweep; write --sweep 0.5mbit:54mbit instead of --capacity")
-        return (_rate("--capacity", options.capacity),)
-    points = DEFAULT_POINTS if options.points is None else options.points
-    if not 2 <= points <= _MOST_POINTS:
-        raise UsageError(f"--points {points} is not 2..{_MOST_POINTS}; both ends of the sweep are among them")
-    return spread(*_ends(options.sweep), points)
-
-
-def _ends(text: str) -> tuple[float, float]:
-    parts = text.split(":")
-    if len(parts) != 2:
-        raise UsageError(f"--sweep '{printable(text)}' is not LOW:HIGH; write it like 0.5mbit:54mbit")
-    low, high = (_rate("--sweep", part) for part in parts)
-    if not 0 < low < high:
-        raise UsageError(f"--sweep '{printable(text)}' does not rise from above 0; write it like 0.5mbit:54mbit")
-    return low, high
-
-
-def _rate(option: str, text: str) -> float:
+def _capacities(options: argparse.Namespace) -> list[float]:
+    """Return the capacities of the options (bytes/s)."""
+    if options.capacity is None:
+        raise UsageError("--config needs --capacity RATE (5mbit), or several (1mbit,5mbit,20mbit)")
     try:
-        rate = parse_rate(text)
+        capacities = [parse_rate(rate) for rate in options.capacity.split(",")]
     except ValueError as error:
-        raise UsageError(f"{option}: {error}") from None
-    if rate > parse_rate(_FASTEST):
-        raise UsageError(f"{option}: '{printable(text)}' is out of range; write at most {_FASTEST}")
-    return rate
+        raise UsageError(f"--capacity: {error}") from None
+    if max(capacities) > parse_rate(_FASTEST):
+        raise UsageError(f"--capacity: '{printable(options.capacity)}' is out of range; write at most {_FASTEST}")
+    return capacities
 
 
 def _offered(settings: Settings, options: argparse.Namespace) -> _Offered:
@@ -145,12 +124,6 @@ def _note(left_out: Sequence[str], options: argparse.Namespace) -> str:
     if options.status is None:
         return f"arpd: left out: {names}; {wrong} (or measure them: --status)"
     return f"arpd: left out: {names}; {options.status} has no traffic of these topics across the link, and {wrong}"
-
-
-def _print_table(plans: Sequence[OfflinePlan], settings: Settings, *, is_sweep: bool) -> None:
-    from arpd.cli.solve_tables import sweep_table, topic_table
-
-    print(sweep_table(plans, settings) if is_sweep else topic_table(plans[0], settings))
 
 
 def _document(plan: OfflinePlan, settings: Settings, left_out: Sequence[str]) -> dict[str, Any]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.columns import aligned, short_name
-from arpd.model.allocation import AllocationStatus, Binding
+from rich.text import Text
+
+from arpd.cli.output import FittedTable, show
+from arpd.model.allocation import Binding
 from arpd.model.quantities import format_number, format_rate, format_share, format_size
 from arpd.report.wording import count
 
@@ -16,21 +18,20 @@ if TYPE_CHECKING:
     from arpd.model.allocation import Uniform
     from arpd.model.settings import Settings
 
-_COLUMNS = 8  # capacities side by side in as wide a line
-_COLUMN = " " * 7  # as wide as its words
 _WORDS = {
     Binding.DESIRED_RATE: "desired",
     Binding.LATENCY_BUDGET: "latency",
     Binding.MAX_DEPTH: "max",
+    Binding.FLOOR: "minimum",
 }
 _SATISFIED, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
 _LEGEND = (
-    f"{_SATISFIED} has all it desires    {_AT_FLOOR} at its floor    {_BELOW_FLOOR} below its floor    paused: no rate"
+    f"{_SATISFIED} has all it desires    {_AT_FLOOR} at its minimum rate    {_BELOW_FLOOR} below it    paused: no rate"
 )
 
 
-def topic_table(plan: OfflinePlan, settings: Settings) -> str:
-    """Lay out what each topic asks for and gets at one capacity, and what binds it."""
+def show_plan(plan: OfflinePlan, settings: Settings) -> None:
+    """Print what each topic asks for and gets at one capacity, and what binds it."""
     allocation, rows = plan.allocation, plan.topics
     used, budget = format_size(plan.memory_bytes), format_size(settings.program.memory_budget_bytes)
     head = [
@@ -41,8 +42,8 @@ def topic_table(plan: OfflinePlan, settings: Settings) -> str:
         f"memory   {used} of {budget} when every history is full",
     ]
     titles = (
-        ("", "", "payload", "Rmax", "floor", "desired", "rate", "rate", "link", "DEADLINE", "DEPTH", "bound by", ""),
-        ("topic", "weight", "B", "Hz", "Hz", "Hz", "Hz", "%", "%", "ms", "", "rate", "depth"),
+        *("TOPIC", "WEIGHT", "PAYLOAD\nB", "RMAX\nHZ", "MINIMUM\nHZ", "DESIRED\nHZ", "RATE\nHZ", "RATE\n%", "LINK\n%"),
+        *("DEADLINE\nMS", "DEPTH", "RATE\nBOUND BY", "DEPTH\nBOUND BY"),
     )
     total = (
         *(f"total of {len(rows)}", "", "", "", ""),
@@ -51,20 +52,32 @@ def topic_table(plan: OfflinePlan, settings: Settings) -> str:
         *("", _percent(plan.link_share), ""),
         *(str(sum(row.qos.depth for row in rows)), "", ""),
     )
-    return "\n".join([*head, "", *aligned([*titles, *map(_topic_cells, rows), total], words=2)])
+    words = frozenset(titles[-2:])
+    show(*map(Text, head), "", FittedTable(rows=[titles, *map(_topic_cells, rows), total], words=words))
 
 
-def sweep_table(plans: Sequence[OfflinePlan], settings: Settings) -> str:
-    """Lay out each topic's rate over the capacity, as many capacities in a line as fit."""
-    low, high = (format_rate(plan.capacity_bytes_per_second) for plan in (plans[0], plans[-1]))
-    lines = [f"link     {_link(f'{low} to {high}', settings, len(plans[0].topics))}"]
-    for start in range(0, len(plans), _COLUMNS):
-        lines += ["", *_sweep_block(plans[start : start + _COLUMNS])]
-    lines += ["", _LEGEND]
-    degraded = [plan for plan in plans if plan.allocation.degradation]
-    if degraded:
-        lines += ["", "what gave way", *aligned([_degraded_cells(plan) for plan in degraded], words=1)]
-    return "\n".join(lines)
+def show_rates(plans: Sequence[OfflinePlan], settings: Settings) -> None:
+    """Print each topic's rate on links of several capacities."""
+
+    def foot(title: str, cell: Callable[[OfflinePlan], str]) -> tuple[str, ...]:
+        return (title, "", "", "", *(f"{cell(plan)} " for plan in plans))
+
+    links = [format_rate(plan.capacity_bytes_per_second) for plan in plans]
+    titles = (f"{link.replace(' ', chr(10), 1)} " for link in links)
+    rows: list[tuple[str, ...]] = [("TOPIC, HZ", "WEIGHT", "MINIMUM\nHZ", "DESIRED\nHZ", *titles)]
+    for same in zip(*(plan.topics for plan in plans), strict=True):
+        topic = same[0].topic
+        asked = (format_number(topic.weight), _four(topic.min_rate_hz), _four(topic.desired_rate_hz))
+        rows.append((topic.name, *asked, *map(_rate_cell, same)))
+    rows += [
+        foot("link used, %", lambda plan: _percent(plan.link_share)),
+        foot("bound by", lambda plan: _word(plan.allocation.binding)),
+    ]
+    about = _link(f"{links[0]} to {links[-1]}", settings, len(plans[0].topics))
+    show(Text(f"link     {about}"), "", FittedTable(rows=rows), "", Text(_LEGEND))
+    for link, plan in zip(links, plans, strict=True):
+        if plan.allocation.degradation:
+            show(Text(f"{link}: {plan.allocation.degradation}"))
 
 
 def _link(capacity: str, settings: Settings, topics: int) -> str:
@@ -81,7 +94,7 @@ def _uniform(uniform: Uniform) -> str:
 def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:
     topic, allocation = row.topic, row.allocation
     return (
-        short_name(topic.name),
+        topic.name,
         format_number(topic.weight),
         _four(row.traffic.payload_bytes),
         _four(allocation.max_rate_hz),
@@ -97,28 +110,7 @@ def _topic_cells(row: PlannedTopic) -> tuple[str, ...]:
     )
 
 
-def _sweep_block(plans: Sequence[OfflinePlan]) -> list[str]:
-    def foot(title: str, cell: Callable[[OfflinePlan], str]) -> tuple[str, ...]:
-        return (title, "", "", "", *(cell(plan) for plan in plans))
-
-    rows: list[tuple[str, ...]] = [
-        ("", "", "floor", "desired", *(_COLUMN for _ in plans)),
-        ("topic", "weight", "Hz", "Hz", *(f"{_short_rate(plan.capacity_bytes_per_second)} " for plan in plans)),
-    ]
-    for same in zip(*(plan.topics for plan in plans), strict=True):
-        topic = same[0].topic
-        asked = (format_number(topic.weight), _four(topic.min_rate_hz), _four(topic.desired_rate_hz))
-        rows.append((short_name(topic.name), *asked, *map(_sweep_cell, same)))
-    rows += [
-        foot("link used, %", lambda plan: f"{_percent(plan.link_share)} "),
-        foot("bound by", lambda plan: _word(plan.allocation.binding)),
-        foot("degraded", lambda plan: "yes " if plan.allocation.status is AllocationStatus.DEGRADED else "- "),
-    ]
-    title, *lines = aligned(rows, words=0)
-    return [f"{title}   rate (Hz) at a capacity (bit/s) of", *lines]
-
-
-def _sweep_cell(row: PlannedTopic) -> str:
+def _rate_cell(row: PlannedTopic) -> str:
     if not row.rate_hz:
         return "paused"
     if row.has_its_wish:
@@ -130,18 +122,8 @@ def _sweep_cell(row: PlannedTopic) -> str:
     return f"{format_number(row.rate_hz)}{mark}"
 
 
-def _degraded_cells(plan: OfflinePlan) -> tuple[str, str]:
-    return f"  {_short_rate(plan.capacity_bytes_per_second)}", plan.allocation.degradation
-
-
 def _word(binding: Binding) -> str:
     return _WORDS.get(binding, str(binding))
-
-
-def _short_rate(bytes_per_second: float) -> str:
-    """Write a capacity for the head of a column: ``500k``, ``1.91M`` bit/s."""
-    number, unit = format_rate(bytes_per_second).split()
-    return number + unit.removesuffix("bit/s")
 
 
 def _four(value: float) -> str:

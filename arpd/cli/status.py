@@ -10,24 +10,27 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from arpd.cli.no_daemon import tell_no_daemon
 from arpd.cli.options import add_address, within
 from arpd.model.errors import ArpdError, DaemonUnreachableError, UsageError
+from arpd.report.situation import Condition
 
 if TYPE_CHECKING:
-    from arpd.cli.client import DaemonAddress
+    from arpd.cli.client import Daemon
 
 _LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
 _HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
 _REDRAW_S = 1.0  # the age of a silent daemon's answer counts up
-_EXIT_CODES = """\
+# From the table that decides it, so that none is missing.
+_WRONG = ", ".join(dict.fromkeys(["Not ready", *(each.headline for each in Condition if each.is_wrong)]))
+_EXIT_CODES = f"""\
 exit codes:
-  0   the daemon governs, and all is well; a slow link that arpd copes with is well
-  1   the daemon answers, and a line says what is wrong: it is not ready, no tick finishes, it stands by for another
-      daemon, the interface or the link carries nothing, it refused the last reload, not even the floors and reserves
-      fit, or a plan is not confirmed after 15 s
+  0   the daemon manages its topics, and all is well; a slow link that arpd copes with is well
+  1   the daemon answers, and a line says what is wrong:
+{fill(_WRONG, 112, initial_indent=" " * 6, subsequent_indent=" " * 6)}
   2   wrong usage
   3   no daemon answers there, or none that lets you in"""
 
@@ -38,11 +41,11 @@ def add_status(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "status",
         help="show what the daemon sees and does",
         description="""\
-Ask a running daemon for its last tick: whether all is well; capacity, queue and the part of the traffic that is
-admitted, with their last ten minutes; the budget of the topics; the plan and its reason; the topics (first refusals,
-then those that give up most) with the rate that each publisher is allowed, the DEPTH and DEADLINE that it announces
-(`now→planned` where the two differ) and its withheld messages; the last lines of the decision log. `arpd top` shows the
-same live. A pipe gets everything as wide as it is, or as COLUMNS says; NO_COLOR takes the colours away.""",
+Ask a running daemon for its last tick: whether all is well; capacity, queue and the allowed part of the traffic above
+the minimum rates, with their last ten minutes; the budget of the topics; the plan and its reason; the topics (first
+refusals, then those that give up most) with the rate that each publisher is allowed, the DEPTH and DEADLINE that it
+announces (`now→planned` where the two differ) and its withheld messages; the last lines of the decision log. `arpd top`
+shows the same live. A pipe gets everything as wide as it is, or as COLUMNS says; NO_COLOR takes the colours away.""",
         epilog=f"""\
 examples:
   arpd status
@@ -73,7 +76,7 @@ examples:
   arpd top --url http://robot.local:9464 --interval 5
   ARPD_PASSWORD=… arpd top --url https://robot.local:9464 --cacert ca.crt --user robot
 
-exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start; with --once those of arpd status""",
+exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start""",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_address(parser)
@@ -81,19 +84,17 @@ exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start; wit
     parser.add_argument(
         "--interval", type=interval, default=1.0, metavar="S", help="seconds between updates (default 1)"
     )
-    parser.add_argument("--once", action="store_true", help="do as arpd status does")
-    parser.set_defaults(handler=_top, json=False)
+    parser.set_defaults(handler=_top)
 
 
 def _top(options: argparse.Namespace) -> int:
-    if options.once:
-        return _status(options)
     if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
         raise UsageError("arpd top needs a terminal; arpd status prints the same once")
-    from arpd.cli.client import address
+    from arpd.cli.client import connect
 
     try:
-        _watch(address(options), interval_s=options.interval)
+        with connect(options) as daemon:
+            _watch(daemon, interval_s=options.interval)
     except DaemonUnreachableError as error:
         tell_no_daemon(error, options.url)
         return error.exit_code
@@ -102,29 +103,30 @@ def _top(options: argparse.Namespace) -> int:
 
 def _status(options: argparse.Namespace) -> int:
     """Print a daemon's status; return the exit code."""
-    from arpd.cli.client import address, read_status
+    from arpd.cli.client import connect, read_status
     from arpd.cli.frame import Frame, findings
     from arpd.cli.output import show
 
-    daemon = address(options)
     try:
-        document = daemon.document()
+        with connect(options) as daemon:
+            document = daemon.document()
+            history = None if options.json else daemon.history()
     except DaemonUnreachableError as error:
         tell_no_daemon(error, options.url)
         return error.exit_code
     if options.json:
         print(json.dumps(document, indent=2))
-    status = read_status(document, url=daemon.url)
+    status = read_status(document, url=options.url)
     wrong = [finding.text for finding in findings(status) if finding.wrong]
     if status is None or options.json:
         for fault in wrong:
             print(f"arpd: {fault}", file=sys.stderr)
     else:
-        show(Frame(status=status, history=daemon.history(), url=daemon.url))
+        show(Frame(status=status, history=history, url=options.url))
     return 1 if wrong else 0
 
 
-def _watch(daemon: DaemonAddress, *, interval_s: float) -> None:
+def _watch(daemon: Daemon, *, interval_s: float) -> None:
     """Show a daemon on the terminal until the user ends it.
 
     Parameters

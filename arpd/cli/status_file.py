@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -74,36 +73,24 @@ def read_status(path: Path) -> SavedStatus:
     name = printable(str(path), longest=4096)
     try:
         with path.open("rb") as file:
-            text = file.read(_MAX_BYTES + 1)
+            text = file.read(_MAX_BYTES)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"--status {name} cannot be read ({reason}); save it with arpd status --json > FILE") from None
+    save = f"save it on the robot with arpd status --json > {name}"
     try:
         document = _Document.model_validate_json(text)
-        wrong = "" if document.topics is not None else "was saved before the daemon was ready"
     except ValidationError as error:
-        wrong = _wrong(text, error.errors(include_url=False)[0])
-    if wrong:
-        raise ArpdError(f"{name}: {wrong}; save it on the robot with arpd status --json > {name}")
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"])) or "file"
+        raise ArpdError(f"{name}: is no status of arpd ({where}: {printable(first['msg'])}); {save}") from None
+    if document.topics is None:
+        raise ArpdError(f"{name}: was saved before the daemon was ready; {save}")
     return SavedStatus(
-        publishers=tuple(map(_publisher, document.topics or ())),
+        publishers=tuple(map(_publisher, document.topics)),
         sensing_topics=document.graph.sensing_topics,
         actuation_topics=document.graph.actuation_topics,
     )
-
-
-def _wrong(text: bytes, fault: Any) -> str:
-    if not text:
-        return "is empty"
-    if len(text) > _MAX_BYTES:
-        return "is larger than 16 MiB"
-    if fault["type"] == "json_invalid":
-        return "is not JSON"
-    if not fault["loc"] or fault["loc"][0] == "api_version":
-        return "is not a status of arpd"
-    where = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in fault["loc"])
-    value = None if fault["type"] == "missing" else fault["input"]
-    return f"{where[1:]}: {printable(json.dumps(value))} is wrong ({fault['msg']})"
 
 
 def _publisher(row: _Topic) -> PublisherState:

@@ -43,7 +43,7 @@ Run on the robot while its nodes run. List the topics that cross the link or cou
 that are published on this host are measured for some seconds; those of the other side are not, because that would bring
 them over the link once more. No daemon is needed, and nothing is changed. Drivers that work only for readers (such as
 image_transport's compressed pictures) work meanwhile; a large topic is read until 32 MB and ten messages have come.
---suggest writes a first configuration instead, for a robot that has none: weight, floor and highest rate of each topic
+--suggest writes a first configuration instead, for a robot that has none: weight, minimum and highest rate of a topic
 are guessed by its type and its measured rate, each with its reason.""",
         epilog="""\
 examples:
@@ -215,7 +215,7 @@ def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str
         remarks.append(f"not measured: {', '.join(topic.name for topic in unmeasured)}; `arpd topics` says why")
     if guess.left_out:
         remarks.append(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
-    remarks.append("weights and floors are guesses: read them, then `arpd check FILE`")
+    remarks.append("weights and minimum rates are guesses: read them, then `arpd check FILE`")
     return remarks
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.columns import wrapped
-from arpd.cli.output import FittedTable
+from arpd.cli.output import FittedTable, wrapped
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.report.wording import count
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 _LONGEST_NAME = 250
 _MOST_NAMED = 2
-_WORDS = frozenset({"TYPE", "LINK"})  # columns that are flush left
+_WORDS = frozenset({"TYPE", "LINK", "FROM, TO"})  # columns that are flush left
 _LEAST_MBIT = 0.01
 _VARIES = 1.1
 _LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."

@@ -119,9 +119,3 @@ class OfflinePlanner:
             for traffic, topic, row in zip(self._traffic, self._topics, allocation.topics, strict=True)
         )
         return OfflinePlan(capacity_bytes_per_second=capacity_bytes_per_second, topics=topics, allocation=allocation)
-
-
-def spread(low: float, high: float, points: int) -> tuple[float, ...]:
-    """Return ``points`` ≥ 2 values at equal ratios from ``low`` > 0 to ``high``, with both ends exact."""
-    between = (low * (high / low) ** (step / (points - 1)) for step in range(1, points - 1))
-    return (low, *between, high)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd.host.interface import index_of, ipv4_addresses
+from arpd.model.errors import NotKnownError
 from arpd.model.quantities import printable
 from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, UDP_BYTES
-from arpd.report.health import Announcer, HeardDiscovery, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -34,6 +34,40 @@ _MOST_PARTICIPANTS = 1000
 _MOST_NAME = 60
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
 _PROC = Path("/proc")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Announcer:
+    """A participant that announces itself by multicast.
+
+    Parameters
+    ----------
+    host : name or address of its computer
+    process : its command, or its number in words; empty = not known
+    is_here : whether it runs on this computer
+    is_arpds : whether it is a process of arpd's; never known of another computer's
+    transports : over what it tells of its topics, as "UDPv4"; empty = not known
+    """
+
+    host: str
+    process: str
+    is_here: bool
+    is_arpds: bool
+    transports: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HeardDiscovery:
+    """Multicast discovery on the link interface for some seconds.
+
+    Parameters
+    ----------
+    bytes_per_second : with UDP, IP and Ethernet headers
+    """
+
+    domain_id: int
+    announcers: tuple[Announcer, ...]
+    bytes_per_second: float
 
 
 @dataclass(slots=True)
@@ -183,13 +217,19 @@ def _pairs(data: bytes, order: str) -> Iterator[tuple[str, str]]:
 
 def listen(
     interface: str, domain_id: int, *, duration_s: float, clock: Callable[[], float] = time.monotonic
-) -> HeardDiscovery | Unknown:
-    """Listen for a time (s) to what crosses an interface, also from this computer."""
+) -> HeardDiscovery:
+    """Listen for a time (s) to what crosses an interface, also from this computer.
+
+    Raises
+    ------
+    NotKnownError
+        If the kernel lets nobody listen there.
+    """
     index = index_of(interface)
     if index is None:
-        return Unknown(f"there is no interface {interface}")
+        raise NotKnownError(f"there is no interface {interface}")
     if not 0 <= domain_id <= _MOST_DOMAIN:
-        return Unknown(f"ROS has no domain {domain_id}")
+        raise NotKnownError(f"ROS has no domain {domain_id}")
     every = ipv4_addresses()
     ear = DiscoveryEar(frozenset[str]().union(*every.values()))
     try:
@@ -206,7 +246,7 @@ def listen(
                 if index in arrived:
                     ear.take(packet, sender[0])
     except OSError as error:
-        return Unknown(f"cannot listen on {interface} ({error.strerror or error})")
+        raise NotKnownError(f"cannot listen on {interface} ({error.strerror or error})") from None
     return ear.heard(domain_id=domain_id, elapsed_s=duration_s)
 
 

@@ -1,4 +1,4 @@
-"""Reads what the kernel allows and has lost: socket buffers, IP reassembly, packet sizes; and if its clock is kept."""
+"""Reads what the kernel tells of datagrams, packet sizes and routes, and whether its clock is kept."""
 
 from __future__ import annotations
 
@@ -9,32 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from arpd.host.interface import ipv4_addresses
-from arpd.report.health import NetworkLimits, Unknown
+from arpd.model.errors import NotKnownError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 T = TypeVar("T")
-_PROC = Path("/proc")
+PROC = Path("/proc")
 _SYS_NET = Path("/sys/class/net")
 _TIMEX_BYTES = 512  # struct timex (linux/timex.h) has 208 on 64-bit systems
 _TIME_ERROR = 5  # of adjtimex(2): the clock is not synchronised
 _IP_MTU = 14  # linux/in.h
 _DISCARD_PORT = 9  # nothing is sent there
-
-
-def read_limits(proc: Path = _PROC) -> NetworkLimits:
-    """Return the limits for datagrams and the losses, of this network namespace where the kernel counts by those."""
-    udp, ip = _counters(proc, "Udp"), _counters(proc, "Ip")
-    return NetworkLimits(
-        buffer_bytes=read_number(proc / "sys/net/core/rmem_default"),
-        received=udp.get("InDatagrams"),
-        overflowed=udp.get("RcvbufErrors"),
-        reassembly_s=read_number(proc / "sys/net/ipv4/ipfrag_time"),
-        reassembly_bytes=read_number(proc / "sys/net/ipv4/ipfrag_high_thresh"),
-        reassembled=ip.get("ReasmOKs"),
-        incomplete=ip.get("ReasmFails"),
-    )
 
 
 def read_number(path: Path) -> int | None:
@@ -45,10 +31,17 @@ def read_number(path: Path) -> int | None:
         return None
 
 
-def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int | Unknown:
-    """Return the MTU of an interface (bytes)."""
-    found = read_number(sys_net / interface / "mtu")
-    return Unknown(f"there is no interface {interface}") if found is None else found
+def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int:
+    """Return the MTU of an interface (bytes).
+
+    Raises
+    ------
+    NotKnownError
+        If there is no such interface.
+    """
+    if (found := read_number(sys_net / interface / "mtu")) is None:
+        raise NotKnownError(f"there is no interface {interface}")
+    return found
 
 
 def route_mtu(address: str) -> int | None:
@@ -95,14 +88,14 @@ def is_clock_synchronised(ask: Callable[[], int] = _adjtimex) -> bool | None:
     return None if state < 0 else state != _TIME_ERROR
 
 
-def _counters(proc: Path, protocol: str) -> dict[str, int]:
-    """Return the counters of one protocol (/proc/net/snmp): a line of names, then one of numbers."""
+def counters(protocol: str, *, proc: Path = PROC) -> dict[str, int]:
+    """Return the counters of a protocol in this network namespace, empty where the kernel does not tell them.
+
+    /proc/net/snmp has a line of names, then one of numbers.
+    """
     try:
         lines = (proc / "net/snmp").read_text().splitlines()
-    except OSError:
-        return {}
-    rows = [line.split()[1:] for line in lines if line.startswith(f"{protocol}:")]
-    try:
-        return dict(zip(rows[0], map(int, rows[1]), strict=True))
-    except (IndexError, ValueError):
+        names, numbers = [line.split()[1:] for line in lines if line.startswith(f"{protocol}:")]
+        return dict(zip(names, map(int, numbers), strict=True))
+    except (OSError, ValueError):
         return {}

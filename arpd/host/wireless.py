@@ -10,7 +10,7 @@ from arpd.host.interface import index_of
 from arpd.host.kernel import read_number
 from arpd.host.radio import ask_stations
 from arpd.host.services import service_states
-from arpd.report.health import RadioState, Unknown
+from arpd.model.errors import NotKnownError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -49,36 +49,32 @@ def _ask(command: str, attributes: list[Any], *, is_dump: bool) -> list[Any]:
         return list(nl80211.nlm_request(message, msg_type=nl80211.prid, msg_flags=flags))
 
 
-def read_radio(
-    interface: str,
-    *,
-    power_save: Callable[[int], Iterable[Any]] = ask_power_save,
-    stations: Callable[[int], Iterable[Any]] = ask_stations,
-    regions: Callable[[int], Iterable[Any]] = ask_regions,
-    sys_net: Path = _SYS_NET,
-    has_network_manager: Callable[[], bool] = runs_network_manager,
-) -> RadioState | None:
-    """Return the state of an interface's radio, None if it has none.
+def power_save(interface: str, *, ask: Callable[[int], Iterable[Any]] = ask_power_save) -> bool:
+    """Return whether a radio sleeps between beacons.
 
-    Parameters
-    ----------
-    power_save, stations, regions : ask nl80211 about the interface with a number of the kernel
-    has_network_manager : returns whether NetworkManager runs
+    Raises
+    ------
+    NotKnownError
+        If nl80211 does not tell it; so do `signal` and `region`.
     """
-    radio = sys_net / interface / "phy80211"
-    index = index_of(interface)
-    if index is None or not radio.exists():
-        return None
-    return RadioState(
-        saves_power=_read(lambda: saves_power(power_save(index)), "power save"),
-        signal_dbm=_read(lambda: signal_dbm(stations(index)), "a signal"),
-        region=_read(lambda: region_of(regions(index), radio=read_number(radio / "index")), "a regulatory domain"),
-        has_network_manager=has_network_manager(),
-    )
+    return _told("power save", interface, lambda index: _saves_power(ask(index)))
 
 
-def radios_beneath(interface: str, *, sys_net: Path = _SYS_NET) -> list[str]:
-    """Return the interfaces with a radio that may carry a tunnel: those that are up; none beneath hardware."""
+def signal(interface: str, *, ask: Callable[[int], Iterable[Any]] = ask_stations) -> int:
+    """Return the strength of a radio's access point, or of the strongest station (dBm)."""
+    return _told("a signal", interface, lambda index: _strongest(ask(index)))
+
+
+def region(interface: str, *, ask: Callable[[int], Iterable[Any]] = ask_regions, sys_net: Path = _SYS_NET) -> str:
+    """Return two letters of the regulatory domain in force, ``00`` = none is set."""
+    radio = read_number(sys_net / interface / "phy80211/index")
+    return _told("a regulatory domain", interface, lambda index: _region_of(ask(index), radio=radio))
+
+
+def radios_of(interface: str, *, sys_net: Path = _SYS_NET) -> list[str]:
+    """Return the interfaces with a radio that carry the link: itself, or those that are up beneath a tunnel."""
+    if (sys_net / interface / "phy80211").exists():
+        return [interface]
     if (sys_net / interface / "device").exists():
         return []
     return sorted(radio.parent.name for radio in sys_net.glob("*/phy80211") if _is_up(radio.parent / "operstate"))
@@ -91,7 +87,7 @@ def _is_up(path: Path) -> bool:
         return False
 
 
-def saves_power(answers: Iterable[Any]) -> bool | None:
+def _saves_power(answers: Iterable[Any]) -> bool | None:
     """Return whether power save is on, None if no answer tells."""
     for answer in answers:
         told = answer.get_attr("NL80211_ATTR_PS_STATE")  # pyroute2 shows its bytes: 01:00:00:00
@@ -100,14 +96,14 @@ def saves_power(answers: Iterable[Any]) -> bool | None:
     return None
 
 
-def signal_dbm(stations: Iterable[Any]) -> int | None:
+def _strongest(stations: Iterable[Any]) -> int | None:
     """Return the strongest signal of an access point or of several clients, None if none has one (dBm)."""
     infos = [info for station in stations if (info := station.get_attr("NL80211_ATTR_STA_INFO"))]
     found = [info.get_attr("NL80211_STA_INFO_SIGNAL_AVG") or info.get_attr("NL80211_STA_INFO_SIGNAL") for info in infos]
     return max((signal for signal in found if signal), default=None)
 
 
-def region_of(answers: Iterable[Any], *, radio: int | None) -> str | None:
+def _region_of(answers: Iterable[Any], *, radio: int | None) -> str | None:
     """Return the regulatory domain of a radio, else the global one, None if neither is told.
 
     Parameters
@@ -119,9 +115,13 @@ def region_of(answers: Iterable[Any], *, radio: int | None) -> str | None:
     return str(found) if found else None
 
 
-def _read(read: Callable[[], T | None], what: str) -> T | Unknown:
+def _told(what: str, interface: str, read: Callable[[int], T | None]) -> T:
+    if (index := index_of(interface)) is None:
+        raise NotKnownError(f"there is no interface {interface}")
     try:
-        found = read()
+        found = read(index)
     except Exception as error:  # noqa: BLE001 - permission, driver or pyroute2; the other facts may still be known
-        return Unknown(f"nl80211 does not tell {what} ({type(error).__name__}: {error})")
-    return Unknown(f"the radio tells no {what.removeprefix('a ')} now") if found is None else found
+        raise NotKnownError(f"nl80211 does not tell {what} ({type(error).__name__}: {error})") from None
+    if found is None:
+        raise NotKnownError(f"the radio tells no {what.removeprefix('a ')} now")
+    return found

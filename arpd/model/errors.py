@@ -59,6 +59,10 @@ class NoAnswerError(DaemonUnreachableError):
         self.is_late = is_late
 
 
+class NotKnownError(ArpdError):
+    """Fact about this computer that cannot be read; the message says why."""
+
+
 class LinkError(ArpdError):
     """Link interface that cannot be read (gone, renamed, or never there)."""
 

@@ -99,7 +99,7 @@ class Role(Enum):
         most_hz=math.inf,
         reason=(
             "WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key "
-            "frame: its floor is all it sends. If that is too much, let the encoder send less, or send single pictures"
+            "frame: its minimum rate is all it sends. If that is too much, let the encoder send less, or send pictures"
         ),
     )
     PICTURE = Care(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.quantities import printable
-from arpd.report.health import PythonRos, Unknown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +47,31 @@ except BaseException as error:
 """
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PythonRos:
+    """ROS as one Python sees it.
+
+    Parameters
+    ----------
+    python : path of the interpreter
+    rclpy : file of rclpy, which may not work, empty = there is none
+    numpy, numpy_file : version and file of numpy, empty = there is none
+    venv : folder of the virtual environment, empty = the interpreter has none
+    rmw : identifier of the middleware, empty = not known
+    fault : why ROS does not work there, empty if it does
+    silence : why the interpreter did not answer at all, empty if it did
+    """
+
+    python: str
+    rclpy: str = ""
+    numpy: str = ""
+    numpy_file: str = ""
+    venv: str = ""
+    rmw: str = ""
+    fault: str = ""
+    silence: str = ""
+
+
 def _run(python: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(  # noqa: S603 - an interpreter of this computer and a constant
         [python, "-c", _PROBE], capture_output=True, text=True, check=False, timeout=_TIMEOUT_S, cwd="/"
@@ -55,7 +80,7 @@ def _run(python: str) -> subprocess.CompletedProcess[str]:
 
 def read_ros(
     python: str = sys.executable, *, run: Callable[[str], subprocess.CompletedProcess[str]] = _run
-) -> PythonRos | Unknown:
+) -> PythonRos:
     """Return what an interpreter finds, in the environment of this process.
 
     Parameters
@@ -65,7 +90,9 @@ def read_ros(
     try:
         done = run(python)
     except (OSError, subprocess.SubprocessError) as error:
-        return Unknown(f"{python} did not answer ({printable(str(error), longest=_MOST_FAULT)})")
+        return PythonRos(
+            python=python, silence=f"{python} did not answer ({printable(str(error), longest=_MOST_FAULT)})"
+        )
     facts = _last(done.stdout)
     fault = str(facts.get("fault", ""))
     if not fault and not facts.get("works"):

@@ -2,7 +2,7 @@
 
 Usage: python -m scripts.bench                                  list them, with the date of each
        python -m scripts.bench NAME …|all [--quick] [--again]   run those that this commit has not been measured by
-       python -m scripts.bench --docs                           only write docs/results.md and README.md's tables
+       python -m scripts.bench --docs                           only write docs/results.md and README.md's table
        python -m scripts.bench robots …                         other robots, links and sides: `robots --help`
 
 Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed

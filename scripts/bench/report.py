@@ -10,7 +10,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
@@ -199,17 +199,18 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def _selected(name: str, *columns: str) -> str:
-    """Return some columns of the first table of a summary."""
+def _selected(name: str, *columns: str, rows: Container[str]) -> str:
+    """Return some columns of the first table of a summary, and the rows whose first cell is one of ``rows``."""
     first = Summary.read(RESULTS / f"{name}.json").tables[0]
     at = [first.columns.index(column) for column in columns]
-    return _markdown(columns, [[shown(row[k]) for k in at] for row in first.rows])
+    return _markdown(columns, [[shown(row[k]) for k in at] for row in first.rows if row[0] in rows])
 
 
 #: Blocks of README.md.
 README = {
-    "adapt-summary": lambda: _selected("adapt", "link", "defaults", "paper", "arpd", "bound"),
-    "sizes": lambda: _selected("pi", "topics", "board", "lost %", "latency p99 ms", "run CPU %", "relay CPU %"),
+    "adapt-summary": lambda: _selected(
+        "adapt", "link", "defaults", "paper", "arpd", "bound", rows=("step-down", "outage", "wifi-walk")
+    ),
 }
 
 

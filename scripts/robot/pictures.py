@@ -25,7 +25,7 @@ from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.screen import Screen
 
-from arpd.cli.client import DaemonAddress
+from arpd.cli.client import Daemon
 from arpd.cli.frame import Frame
 from arpd.cli.progress import progress
 from arpd.model.errors import ArpdError
@@ -126,8 +126,9 @@ def _page(
 def _top(browser: Browser, url: str, path: Path) -> None:
     """Draw a frame of `arpd top` as a terminal would."""
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
-    daemon = DaemonAddress(url=url)
-    frame = Frame(status=daemon.status(), history=daemon.history(), url="http://robot.local:9464", is_on_screen=True)
+    with Daemon(url) as daemon:
+        status, history = daemon.status(), daemon.history()
+    frame = Frame(status=status, history=history, url="http://robot.local:9464", is_on_screen=True)
     console.print(Screen(frame))
     # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)

@@ -7,8 +7,8 @@ import io
 from rich.console import Console
 
 from arpd.cli.client import read_history, read_status
-from arpd.cli.columns import WITHOUT_END
 from arpd.cli.frame import Frame
+from arpd.cli.output import WITHOUT_END
 
 
 def printed(status, history=None, *, width=WITHOUT_END, **said):

@@ -14,7 +14,7 @@ from arpd.host.config.load import load_settings
 REPO = Path(__file__).resolve().parents[2]
 UNITS = {path.stem for path in (REPO / "systemd").glob("*.service")}
 # Sections whose blocks without a language are pictures and output.
-SHOWN = {"How it works", "See"}
+SHOWN = {"See"}
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -97,10 +97,3 @@ def test_what_a_user_copies_into_files_can_be_read(tmp_path):
             continue
         found[language] += 1
     assert min(found.values()) > 0
-
-
-def test_the_table_of_commands_has_every_command():
-    """No row of the README's table names another command, and none is missing."""
-    rows = re.findall(r"^\| `arpd ([^`]+)` \|", (REPO / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    (subcommands,) = (action.choices for action in _parser()._actions if action.metavar == "COMMAND")
-    assert {row.split()[0] for row in rows} == set(subcommands)

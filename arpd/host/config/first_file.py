@@ -66,13 +66,13 @@ def first_file(guess: FirstGuess, link: LinkChoice, *, origin: str) -> str:
 
 _HOW_TO = (
     "#",
-    "# All weights and floors are guesses by type. Change them, then try them before you install the file:",
+    "# All weights and minimum rates are guesses by type. Change them, then try them before you install the file:",
     "#   arpd check FILE                                       names every fault",
-    "#   arpd solve --config FILE --sweep 0.5mbit:20mbit       shows what each topic would get on which link",
+    "#   arpd solve --config FILE --capacity 1mbit,5mbit       shows what each topic would get on which link",
     "#   sudo install -m 644 FILE /etc/arpd/arpd.yaml          on both computers; then restart arpd's services",
     "#",
     "# weight          who gets how much of a slow link: weight 2 gets twice as much link time as weight 1",
-    "# min_rate_hz     floor: the rate that a topic keeps as long as the link carries all floors",
+    "# min_rate_hz     the rate that a topic keeps as long as the link carries the minimum rates of all",
     "# max_rate_hz     a higher rate is useless; lower it if fewer samples will do. Without it: all that is published",
     "# max_depth       most samples that the publisher keeps for a slow link",
     "# latency_budget  samples older than this are not worth keeping (default 1s)",
@@ -88,8 +88,8 @@ def _sums(guess: FirstGuess) -> str:
     unknown = sum(topic.payload_bytes is None for topic in guess.topics)
     besides = f" Topics of unknown size, which do not count: {unknown}." if unknown else ""
     return (
-        f"All floors together need {floors} of the link, with headers.{much} On a slower link the lightest weights "
-        f"fall below their floors first. At the measured rates everything needs {full}.{besides}"
+        f"All minimum rates together need {floors} of the link, with headers.{much} On a slower link the lightest "
+        f"weights fall below theirs first. At the measured rates everything needs {full}.{besides}"
     )
 
 

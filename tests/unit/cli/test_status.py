@@ -15,6 +15,7 @@ from arpd.host.services import ServiceState
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
 from arpd.model.relay import RelaySummary
+from arpd.report.situation import Condition
 from tests.golden.sample import FINISHED_AT_S
 from tests.unit.fake_daemon import document, serving
 
@@ -66,17 +67,22 @@ def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
     assert err.startswith(f"arpd: {said}")
 
 
-@pytest.mark.parametrize("command", [("status",), ("top", "--once")])
-def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch, command):
+def test_the_help_names_all_that_exits_1(run):
+    """It follows the table of conditions."""
+    told = " ".join(run("status", "--help")[1].split())
+    assert [each.headline for each in Condition if each.is_wrong and each.headline not in told] == []
+
+
+def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch):
     """Where nothing listens on this computer, the state of the unit tells the next step."""
     failed = ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78)
     monkeypatch.setattr("arpd.host.services.service_states", lambda *_names: {"arpd": failed})
     with serving("{}") as url:
         pass
-    code, out, err = run(*command, "--url", url)
+    code, out, err = run("status", "--url", url)
     assert (code, out) == (3, "")
     assert "arpd check" in err
-    assert "arpd.service" not in run(*command, "--url", "http://robot.invalid:9464")[2]
+    assert "arpd.service" not in run("status", "--url", "http://robot.invalid:9464")[2]
 
 
 @pytest.mark.parametrize(
@@ -142,11 +148,11 @@ def test_an_answer_that_only_trickles_ends_at_one_deadline(run, monkeypatch, lin
     assert "timed out" in err
 
 
-@pytest.mark.parametrize("command", [["status"], ["top", "--once"], ["doctor"]])
+@pytest.mark.parametrize("command", [["status"], ["doctor"]])
 def test_a_password_does_not_cross_the_network_in_clear(run, monkeypatch, command):
     """Without TLS it goes to this computer only, or where the user says so."""
     monkeypatch.setenv("ARPD_PASSWORD", "secret")
-    monkeypatch.setattr(client.DaemonAddress, "_fetch", lambda *_: pytest.fail("it asks"))
+    monkeypatch.setattr(client.KeptConnection, "get", lambda *_: pytest.fail("it asks"))
     for url in ("http://robot.local:9464", "HTTP://192.0.2.1:9464", "http://127.0.0.1.example:9464"):
         code, out, err = run(*command, "--url", url, "--user", "alice")
         assert (code, out) == (2, "")
@@ -159,11 +165,11 @@ def test_a_password_goes_where_the_user_lets_it(run, monkeypatch):
     monkeypatch.setenv("ARPD_PASSWORD", "secret")
     asked = []
 
-    def fetch(daemon, _url):
-        asked.append(daemon.url)
+    def get(connection, _path):
+        asked.append(connection.url)
         raise ConnectionRefusedError
 
-    monkeypatch.setattr(client.DaemonAddress, "_fetch", fetch)
+    monkeypatch.setattr(client.KeptConnection, "get", get)
     wanted = ["http://127.0.0.2:1", "http://[::1]:1", "http://localhost:1", "https://robot:1", "http://robot:1"]
     for url in wanted:
         run("status", "--user", "alice", "--url", url, *(["--password-in-clear"] if url == wanted[-1] else []))
@@ -171,10 +177,9 @@ def test_a_password_goes_where_the_user_lets_it(run, monkeypatch):
 
 
 @pytest.mark.parametrize("url", ["localhost:9464", "file:///etc/passwd", "http://[::1", "http://a b/"])
-@pytest.mark.parametrize("command", ["status", "top"])
-def test_what_is_no_http_address_is_refused(capsys, command, url):
+def test_what_is_no_http_address_is_refused(capsys, url):
     """Only http:// and https:// are accepted."""
-    assert cli.main([command, "--url", url, *(["--once"] if command == "top" else [])]) in {2, 3}
+    assert cli.main(["status", "--url", url]) in {2, 3}
     err = capsys.readouterr().err
     assert err.startswith("arpd: ")
     assert err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""`arpd top`: the terminal that it draws on."""
+"""`arpd top`: the terminal that it draws on, and the connection that it keeps."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import struct
 import subprocess
 import sys
 import termios
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from arpd.cli import main as cli
+from arpd.cli.client import Daemon
 from tests.unit.fake_daemon import HISTORY, busy, serving
 from tests.waiting import eventually
 
@@ -30,14 +32,39 @@ def daemon():
         yield url
 
 
-def test_once_prints_what_status_prints(capsys, daemon):
-    """The option is the other command, with its exit codes."""
-    shown = []
-    for command in (["status"], ["top", "--once"]):
-        assert cli.main([*command, "--url", daemon]) == 0
-        shown.append(capsys.readouterr())
-    assert shown[0] == shown[1]
-    assert "▁█▁" in shown[0].out
+class Keeping(BaseHTTPRequestHandler):
+    """A daemon that keeps connections, and closes them where a test says so."""
+
+    protocol_version = "HTTP/1.1"
+
+    def setup(self):
+        super().setup()
+        self.server.connections += 1
+
+    def do_GET(self):
+        body = json.dumps(busy()).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+        self.close_connection = self.server.closes
+
+    def log_message(self, *_arguments):
+        pass
+
+
+@pytest.mark.parametrize(("closes", "connections"), [(False, 1), (True, 3)])
+def test_questions_share_a_connection_while_the_daemon_keeps_it(closes, connections):
+    """One that it has closed is opened again, without a word."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Keeping)
+    server.connections, server.closes, server.daemon_threads = 0, closes, True
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    with Daemon(f"http://127.0.0.1:{server.server_address[1]}") as daemon:
+        for _ in range(3):
+            assert daemon.status().version == "1.2.3"
+    server.shutdown()
+    server.server_close()
+    assert server.connections == connections
 
 
 @pytest.mark.parametrize(("is_terminal", "kind"), [(False, "xterm"), (True, "dumb")])

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.host.kernel import (
-    interface_to,
-    is_own_address,
-    read_limits,
-    route_mtu,
-)
-from arpd.report.health import NetworkLimits
+from arpd.host.kernel import counters, interface_to, is_own_address, read_mtu, route_mtu
+from arpd.model.errors import NotKnownError
 
 SNMP = """\
 Ip: Forwarding DefaultTTL ReasmTimeout ReasmReqds ReasmOKs ReasmFails
@@ -22,39 +17,28 @@ UdpLite: 9 9
 """
 
 
-def tree(tmp_path, *, snmp=SNMP, limits=True):
+@pytest.mark.parametrize(
+    ("snmp", "found"),
+    [
+        (SNMP, {"InDatagrams": 1000, "NoPorts": 1, "InErrors": 7, "OutDatagrams": 2000, "RcvbufErrors": 7}),
+        ("", {}),
+        ("Udp: InDatagrams\n", {}),
+        ("Udp: InDatagrams\nUdp: many\n", {}),
+        ("Udp: A B\nUdp: 1\n", {}),
+    ],
+)
+def test_counters_of_a_protocol_are_read_or_not_known(tmp_path, snmp, found):
+    """UdpLite's are not UDP's; neither a missing file nor an odd one raises."""
     (tmp_path / "net").mkdir()
     (tmp_path / "net/snmp").write_text(snmp)
-    if limits:
-        for name, value in (
-            ("core/rmem_default", 212_992),
-            ("ipv4/ipfrag_time", 30),
-            ("ipv4/ipfrag_high_thresh", 4_194_304),
-        ):
-            path = tmp_path / "sys/net" / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(f"{value}\n")
-    return tmp_path
+    assert counters("Udp", proc=tmp_path) == found
+    assert counters("Udp", proc=tmp_path / "nowhere") == {}
 
 
-def test_limits_and_losses_are_read(tmp_path):
-    """Each number has its own line; UdpLite's are not UDP's."""
-    assert read_limits(tree(tmp_path)) == NetworkLimits(
-        buffer_bytes=212_992,
-        received=1000,
-        overflowed=7,
-        reassembly_s=30,
-        reassembly_bytes=4_194_304,
-        reassembled=20,
-        incomplete=4,
-    )
-
-
-@pytest.mark.parametrize("snmp", ["", "Udp: InDatagrams\n", "Udp: InDatagrams\nUdp: many\n", "Udp: A B\nUdp: 1\n"])
-def test_what_the_kernel_does_not_tell_is_not_known(tmp_path, snmp):
-    """Neither a missing file nor an odd one raises."""
-    assert read_limits(tree(tmp_path, snmp=snmp, limits=False)) == NetworkLimits()
-    assert read_limits(tmp_path / "nowhere") == NetworkLimits()
+def test_the_mtu_of_no_interface_is_not_known(tmp_path):
+    """The error names it."""
+    with pytest.raises(NotKnownError, match="wlan7"):
+        read_mtu("wlan7", sys_net=tmp_path)
 
 
 def test_the_route_to_this_computer_is_the_loopback(network):

@@ -10,8 +10,8 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.host.wireless import radios_beneath, read_radio
-from arpd.report.health import RadioState, Unknown
+from arpd.host import wireless
+from arpd.model.errors import NotKnownError
 from tests.unit.host.test_radio import ATTR_STA_INFO, STA_INFO_SIGNAL, attribute
 
 # linux/nl80211.h
@@ -52,8 +52,8 @@ def sys_net(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_radio_is_read_whole(sys_net):
-    """Each question goes to the interface's number."""
+def test_a_radio_is_read(sys_net):
+    """Each question goes to the interface's number, and a radio's own regulatory domain counts."""
     asked = []
 
     def ask(*answers):
@@ -63,45 +63,38 @@ def test_a_radio_is_read_whole(sys_net):
 
         return answer_to
 
-    found = read_radio(
-        "wlan0",
-        power_save=ask(power_save(1)),
-        stations=ask(station(signal(STA_INFO_SIGNAL, -60))),
-        regions=ask(region("00"), region("DE", radio=1)),
-        sys_net=sys_net,
-        has_network_manager=lambda: True,
-    )
-    assert found == RadioState(saves_power=True, signal_dbm=-60, region="DE", has_network_manager=True)
+    assert wireless.power_save("wlan0", ask=ask(power_save(1)))
+    assert wireless.signal("wlan0", ask=ask(station(signal(STA_INFO_SIGNAL, -60)))) == -60
+    assert wireless.region("wlan0", ask=ask(region("00"), region("DE", radio=1)), sys_net=sys_net) == "DE"
     assert asked == [3, 3, 3]
 
 
-def test_a_radio_that_refuses_is_not_known(sys_net):
-    """Each fact fails alone, and says why."""
+@pytest.mark.usefixtures("sys_net")
+def test_a_radio_that_refuses_is_not_known():
+    """The error says why."""
 
     def refuse(_index):
         raise PermissionError(1, "Operation not permitted")
 
-    found = read_radio(
-        "wlan0",
-        power_save=refuse,
-        stations=lambda _index: [],
-        regions=refuse,
-        sys_net=sys_net,
-        has_network_manager=lambda: False,
-    )
-    assert found is not None
-    facts = (found.saves_power, found.signal_dbm, found.region)
-    assert all(isinstance(fact, Unknown) for fact in facts)
-    assert "not permitted" in str(facts[0])
+    with pytest.raises(NotKnownError, match="not permitted"):
+        wireless.power_save("wlan0", ask=refuse)
+    with pytest.raises(NotKnownError, match="no signal now"):
+        wireless.signal("wlan0", ask=lambda _index: [])
 
 
 @pytest.mark.parametrize(
     ("interface", "state", "radios"),
-    [("wg0", "up", ["wlan0"]), ("wg0", "down", []), ("wg0", None, []), ("eth0", "up", [])],
+    [
+        ("wg0", "up", ["wlan0"]),
+        ("wg0", "down", []),
+        ("wg0", None, []),
+        ("eth0", "up", []),
+        ("wlan0", "down", ["wlan0"]),
+    ],
 )
-def test_the_radio_beneath_a_tunnel_is_one_that_is_up(sys_net, interface, state, radios):
+def test_the_radio_of_a_tunnel_is_one_that_is_up(sys_net, interface, state, radios):
     """A radio beside a wired interface carries other traffic."""
     (sys_net / "eth0/device").mkdir(parents=True)
     if state is not None:
         (sys_net / "wlan0/operstate").write_text(f"{state}\n")
-    assert radios_beneath(interface, sys_net=sys_net) == radios
+    assert wireless.radios_of(interface, sys_net=sys_net) == radios
