@@ -6,11 +6,9 @@ does not use its handler, which waits for a full journal and gives every message
 
 from __future__ import annotations
 
-import io
 import logging
 import os
 import re
-import select
 import sys
 from pathlib import Path
 from types import MappingProxyType
@@ -72,22 +70,19 @@ def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
 class JournalHandler(logging.Handler):
     """Sends every record as one entry; never waits, because a tick may log.
 
-    A record that the journal does not take goes to stderr with a priority. The handler counts records that stderr does
-    not take either.
+    It counts the records that the journal does not take, and says so when it takes the next.
 
     Parameters
     ----------
     identifier : SYSLOG_IDENTIFIER, the name that every line and `journalctl -t` show
-    stderr : stream for records that the journal does not take
     path : the journal's socket
     """
 
-    def __init__(self, identifier: str, *, stderr: TextIO, path: Path = SOCKET) -> None:
+    def __init__(self, identifier: str, *, path: Path = SOCKET) -> None:
         super().__init__()
         self._identifier = identifier
         self._transport = JournaldTransport(path, connected=False)  # unconnected, it finds a restarted journal
         self._transport.socket.settimeout(0.0)
-        self._stderr = stderr
         self._lost = 0
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -99,10 +94,12 @@ class JournalHandler(logging.Handler):
             return
         try:
             self._transport.send(self._fields(record, message))
+            if self._lost:
+                words = f"lost {self._lost} messages, because the journal did not take them"
+                self._transport.send(self._frame(4, words))
+                self._lost = 0
         except (OSError, ValueError):
-            self._write(record, message)
-        else:
-            self._report_lost()
+            self._lost += 1
 
     def close(self) -> None:
         """Close the socket."""
@@ -125,32 +122,6 @@ class JournalHandler(logging.Handler):
         yield "SYSLOG_IDENTIFIER", self._identifier
         yield "SYSLOG_FACILITY", Facility.DAEMON.value
 
-    def _write(self, record: logging.LogRecord, message: str) -> None:
-        """Write to stderr unless that would wait, because stderr is the journal's, too."""
-        line = prefixed(record.levelno, message)
-        try:
-            if not _is_writable(self._stderr):
-                self._lost += 1
-                return
-            self._stderr.write(line + "\n")
-            self._stderr.flush()
-        except (OSError, ValueError):
-            self._lost += 1
-
-    def _report_lost(self) -> None:
-        if not self._lost:
-            return
-        lost, self._lost = self._lost, 0
-        try:
-            self._transport.send(self._frame(4, f"lost {lost} messages, because the journal did not take them"))
-        except OSError:
-            self._lost += lost
-
-
-def prefixed(level: int, message: str) -> str:
-    """Return the message with ``<n>`` before every line, the syslog priority that systemd strips (sd-daemon(3))."""
-    return "\n".join(f"<{priority_of(level)}>{line}" for line in message.splitlines())
-
 
 def _fields_of(event: Event) -> Iterator[tuple[str, str | int]]:
     yield "MESSAGE_ID", MESSAGE_IDS[event.kind]
@@ -170,26 +141,9 @@ def _text(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
-def _is_writable(stream: TextIO) -> bool:
-    try:
-        number = stream.fileno()
-    except (OSError, ValueError, io.UnsupportedOperation):
-        return True
-    poll = select.poll()
-    poll.register(number, select.POLLOUT)
-    return bool(poll.poll(0))
-
-
 log = logging.getLogger("arpd.events")
 _PLAIN = "%(levelname)s %(name)s: %(message)s"
 _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
-
-
-class _PrefixFormatter(logging.Formatter):
-    """Prefixes every line with its syslog priority."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return prefixed(record.levelno, super().format(record))
 
 
 def configure_logging(
@@ -208,18 +162,14 @@ def configure_logging(
     stderr : None = the process's own
     journal : socket of the journal
     """
-    logging.basicConfig(level=level.upper(), handlers=[_handler(name, environ, stderr or sys.stderr, journal)])
-
-
-def _handler(name: str, environ: Mapping[str, str], stderr: TextIO, journal: Path) -> logging.Handler:
-    goes_to_journal = takes_stderr(environ, stderr)
-    if goes_to_journal and journal.is_socket():
-        handler: logging.Handler = JournalHandler(name, stderr=stderr, path=journal)
+    stderr = stderr or sys.stderr
+    if takes_stderr(environ, stderr) and journal.is_socket():
+        handler: logging.Handler = JournalHandler(name, path=journal)
         handler.setFormatter(logging.Formatter("%(message)s"))
-        return handler
-    handler = logging.StreamHandler(stderr)
-    handler.setFormatter(_PrefixFormatter(_PLAIN) if goes_to_journal else logging.Formatter(_PLAIN))
-    return handler
+    else:
+        handler = logging.StreamHandler(stderr)
+        handler.setFormatter(logging.Formatter(_PLAIN))
+    logging.basicConfig(level=level.upper(), handlers=[handler])
 
 
 def log_event(event: Event) -> None:

@@ -1,8 +1,6 @@
 """Speaks systemd's notify protocol (sd_notify(3)): READY, RELOADING, STOPPING, STATUS and the watchdog.
 
-The protocol is one datagram to ``$NOTIFY_SOCKET``, so a dependency would cost more than it saves. ``sdnotify`` (no
-release since 2017), ``sd-notify`` and ``systemd-watchdog`` neither add MONOTONIC_USEC nor guard STATUS= against
-newlines; ``cysystemd`` is a C extension that the Pi would have to build.
+The protocol is one datagram to ``$NOTIFY_SOCKET``, so a dependency would cost more than it saves.
 """
 
 from __future__ import annotations
@@ -23,27 +21,18 @@ _BEAT_S = 1.0
 _STALE_S = 5.0  # a part that has finished no round for so long hangs, and the watchdog's own time runs out
 
 
-def _datagram_socket() -> socket.socket:
-    return socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-
-
 class Notifier:
     """Reports the state of the service to systemd; does nothing outside systemd and never raises.
 
     Parameters
     ----------
-    environ : environment with NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID
-    make_socket : opens an unconnected AF_UNIX datagram socket
+    environ : environment with NOTIFY_SOCKET
     """
 
-    def __init__(
-        self, environ: Mapping[str, str] = os.environ, *, make_socket: Callable[[], socket.socket] = _datagram_socket
-    ) -> None:
+    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         address = environ.get("NOTIFY_SOCKET", "")
         # "@name" stands for a socket in the abstract namespace, whose address starts with a zero byte.
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self._make_socket = make_socket
-        self.watchdog_period_s = _watchdog_period_s(environ)
 
     def ready(self) -> None:
         """Report the end of the start or of a reload."""
@@ -63,14 +52,13 @@ class Notifier:
 
     def watchdog(self) -> None:
         """Report that the service works; call it only after finished work."""
-        if self.watchdog_period_s is not None:
-            self._send("WATCHDOG=1")
+        self._send("WATCHDOG=1")
 
     def _send(self, message: str) -> None:
         if not self._address:
             return
         try:
-            with self._make_socket() as channel:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
                 channel.settimeout(1.0)  # a systemd that hangs must not stop the tick
                 channel.connect(self._address)
                 channel.sendall(message.encode())
@@ -106,13 +94,3 @@ class Watchdog:
         if now_s - self._beat_s >= _BEAT_S and all(now_s - finished_s() < _STALE_S for finished_s in self._parts):
             self._beat_s = now_s
             self._notifier.watchdog()
-
-
-def _watchdog_period_s(environ: Mapping[str, str]) -> float | None:
-    """Return the time within which systemd wants a ping (s), None if it wants none from this process."""
-    try:
-        period_s = int(environ["WATCHDOG_USEC"]) / 1e6
-        for_us = int(environ.get("WATCHDOG_PID", os.getpid())) == os.getpid()
-    except (KeyError, ValueError):
-        return None
-    return period_s if for_us and period_s > 0 else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import yaml
 
@@ -31,8 +31,7 @@ _CONSTANTS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, order=True)
-class Place:
+class Place(NamedTuple):
     """A line and a column of the file, both counted from 1."""
 
     line: int = 1
@@ -200,22 +199,16 @@ class _Reader:
             raise _RefusedError("yaml", wrong, _place(self._loader.get_mark())) from None
 
     def _refuse(self, event: Any, location: Location) -> None:
-        place = _place(event.start_mark)
-        anchor = printable(getattr(event, "anchor", None) or "")
         self._nodes += 1
-        if isinstance(event, yaml.AliasEvent):
-            wrong = f"alias *{anchor} is not allowed; write the value out"
-        elif anchor:
-            wrong = f"anchor &{anchor} is not allowed; remove it"
-        elif event.tag:
-            wrong = f"tag {printable(event.tag)} is not allowed; remove it"
+        if isinstance(event, yaml.AliasEvent) or event.anchor or event.tag:
+            wrong = "anchors, aliases and tags are not allowed; write the value out"
         elif len(location) >= MAX_DEPTH:
             wrong = f"is nested more than {MAX_DEPTH} deep; remove levels"
         elif self._nodes > MAX_NODES:
             wrong = f"holds more than {MAX_NODES:,} keys and values; remove some"
         else:
             return
-        raise _RefusedError("yaml", wrong, place)
+        raise _RefusedError("yaml", wrong, _place(event.start_mark))
 
     def _value(self, event: Any, location: Location) -> Any:
         self._refuse(event, location)

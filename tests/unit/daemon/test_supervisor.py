@@ -35,8 +35,6 @@ def signals():
 class Notifier:
     """A notifier that keeps its messages, in order."""
 
-    watchdog_period_s = 10.0
-
     def __init__(self):
         self.messages = []
 

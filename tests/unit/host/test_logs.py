@@ -47,12 +47,6 @@ def logged(stderr, text):
     return stderr.read()
 
 
-def test_every_line_carries_its_priority(stderr, tmp_path):
-    """If stderr leads to the journal but its socket is missing, every line of a warning has its priority."""
-    configure(environ=stream_of(stderr), stderr=stderr, journal=tmp_path / "none")
-    assert logged(stderr, "first\nsecond") == "<4>WARNING arpd.daemon.tick: first\n<4>second\n"
-
-
 def test_under_systemd_entries_go_to_the_journal(stderr, tmp_path, root):
     """If stderr leads to the journal, records go to its socket under the process's name, and none to stderr."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import time
 import uuid
@@ -25,7 +24,7 @@ def manager(request, tmp_path):
 def test_each_message_is_one_datagram(manager):
     """READY, STATUS, WATCHDOG and STOPPING reach systemd's socket as the protocol spells them."""
     environ, heard = manager
-    notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
+    notifier = Notifier(environ)
     notifier.ready()
     notifier.status("plan 3: 11 of 12")
     notifier.watchdog()
@@ -57,22 +56,6 @@ def test_a_socket_that_is_gone_does_not_stop_the_daemon(tmp_path, caplog):
     assert "READY=1" in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("environ", "period_s"),
-    [
-        ({}, None),
-        ({"WATCHDOG_USEC": "10000000"}, 10.0),
-        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid())}, 0.5),
-        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid() + 1)}, None),
-        ({"WATCHDOG_USEC": "0"}, None),
-        ({"WATCHDOG_USEC": "soon"}, None),
-    ],
-)
-def test_the_watchdog_period_is_ours_or_nobodys(environ, period_s):
-    """The environment gives the period only if it is meant for this process."""
-    assert Notifier(environ).watchdog_period_s == period_s
-
-
 class Clock:
     """A clock and the end of a second thread's last round, both set by the test."""
 
@@ -88,7 +71,7 @@ class Clock:
 def heart(manager):
     """Return a watchdog with one part, its clock, and a function that counts pings since its last call."""
     environ, heard = manager
-    notifier = Notifier({**environ, "WATCHDOG_USEC": "10000000"})
+    notifier = Notifier(environ)
     clock = Clock()
 
     def pings():
