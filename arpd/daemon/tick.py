@@ -130,7 +130,7 @@ class Daemon:
         began_s, self._ticked_s = self._clock(), -math.inf
         observation = self._observe(now_s)
         link = self._link = self._estimator.update(observation)
-        budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom)
+        budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom, topics=self._topics)
         facts = self._facts(observation, link)
         if not self._turns.is_due(now_s, facts=facts, publishers=observation.publishers):
             return self._follow(now_s, observation, link, budget)

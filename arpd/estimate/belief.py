@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING
 
-from arpd.estimate.parameters import RADIO_SHARE
-from arpd.model.link import CapacityKind
-
-if TYPE_CHECKING:
-    from arpd.model.link import EstimatorEvent
+from arpd.estimate.capacity import CapacityBelief
+from arpd.estimate.parameters import FALLEN, NOTICED, RADIO_SHARE
+from arpd.model.link import CapacityKind, EstimatorEvent
 
 
 class Belief:
@@ -19,18 +16,41 @@ class Belief:
     Parameters
     ----------
     capacity : the one before any evidence (bytes/s)
+
+    Attributes
+    ----------
+    filter : probability of every capacity
+    fell_at_s : when it fell by much last (s)
     """
 
     def __init__(self, capacity: float) -> None:
-        self.capacity = capacity
+        self.assume(capacity)
         self.kind = CapacityKind.CONFIGURED
-        self.changed_at_s = -math.inf
+        self.changed_at_s = self.fell_at_s = -math.inf
         self.evidence = "no evidence yet"
         self.events_by_kind: Counter[str] = Counter()
 
-    def change(self, event: EstimatorEvent, now_s: float, capacity: float, why: str) -> None:
-        """Believe a capacity from now on (bytes/s)."""
-        self.capacity, self.changed_at_s = capacity, now_s
+    def assume(self, capacity: float) -> None:
+        """Begin anew with a capacity, without evidence (bytes/s)."""
+        self.filter, self.capacity = CapacityBelief(capacity), capacity
+
+    def follow(self, now_s: float, kind: CapacityKind, why: str) -> None:
+        """State what the filter holds, of a kind, where that is news."""
+        before, capacity = self.capacity, self.filter.stated(self.capacity)
+        is_new, self.kind = kind is not self.kind, kind
+        if not is_new and abs(capacity / before - 1.0) <= NOTICED:
+            return
+        if kind is CapacityKind.LOCAL:
+            self.change(EstimatorEvent.LOCAL, now_s, why)
+        elif is_new:
+            self.change(EstimatorEvent.FIRST, now_s, why)
+        else:
+            self.fell_at_s = now_s if capacity < FALLEN * before else self.fell_at_s
+            self.change(EstimatorEvent.DOWN if capacity < before else EstimatorEvent.UP, now_s, why)
+
+    def change(self, event: EstimatorEvent, now_s: float, why: str) -> None:
+        """State what the filter holds, for a reason."""
+        self.capacity, self.changed_at_s = self.filter.stated(self.capacity), now_s
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
         self.events_by_kind[event] += 1
 

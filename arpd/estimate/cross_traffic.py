@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from arpd.model.relay import RelaySummary
 
 _WINDOW_S = 3.0  # announcements come once a second: three of them, so a lost one does not matter
-_STEP_S = 0.5
 _REMEMBERED_COSTS = 4  # announcements: as many as touch one window
 _LOOK_S, _LOOK_S_PER_TOPIC = 0.45, 2e-3  # announcements of many nodes come many times a second
-_MEMORY_S = 10.0  # samples not carried for this long will not be: only outages fill deeper histories
+_MEMORY_S = 10.0
 # Measured on the demo robot (14 participants, 12 topics; veth and tbf, 5 and 20 Mbit/s): the interface carries 0.10 to
 # 0.25 Mbit/s more than the topics and probes explain: discovery, reports, messages of the daemon. The discovery of a
 # swap adds 0.3 Mbit/s for a few seconds, and the wire model errs by one or two per cent, so a part of the allowance
@@ -42,11 +41,6 @@ class CrossTraffic:
     The counters of the interface come at every tick, those of the publishers once a second, each node at its own time.
     Both become curves over time. They are compared over a window that ends when the last publisher announced itself:
     later samples are unknown, and never guessed.
-
-    Published samples that were not carried are owed. They wait in a queue, because veth counts a packet when it leaves
-    the token bucket; or they were dropped there, uncounted, and a reliable writer sends them again. Carried bytes pay
-    this debt first; otherwise the resends after every overload would count as cross traffic. Resends of samples that
-    the link carried and then lost do count: no topic can use that link time.
     """
 
     def __init__(self) -> None:
@@ -93,19 +87,12 @@ class CrossTraffic:
         self._extra.jump(end_s, after - before)
 
     def _measure(self, carried: _Curve, end_s: float) -> float:
-        """Return the bytes of the window without topics, debts and allowances (bytes/s)."""
-        steps = int(min(_MEMORY_S, end_s - carried.oldest_s) / _STEP_S + 1e-6)
-        moments = np.array([end_s - step * _STEP_S for step in range(steps, -1, -1)])
-        sent = self._sent_by(moments)
-        owed, unexplained = 0.0, list[float]()
-        for surplus in np.diff(carried.each_at(moments) - sent - self._extra.each_at(moments)).tolist():
-            balance = surplus - owed
-            owed = max(0.0, -balance)
-            unexplained.append(max(0.0, balance))
-        window = round(_WINDOW_S / _STEP_S)
-        in_window = sum(unexplained[-window:])
-        allowed = _TOPICS_ALLOWANCE * float(sent[-1] - sent[-1 - window])
-        return max(0.0, (in_window - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
+        """Return the bytes of the window without topics, probes and allowances (bytes/s)."""
+        window = np.array([end_s - _WINDOW_S, end_s])
+        sent = self._sent_by(window)
+        unexplained = float(np.diff(carried.each_at(window) - sent - self._extra.each_at(window))[0])
+        allowed = _TOPICS_ALLOWANCE * float(sent[1] - sent[0])
+        return max(0.0, (unexplained - allowed) / _WINDOW_S - _CHATTER_BYTES_PER_SECOND)
 
     def _sent_by(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the bytes that all topics put on the link up to each moment; only differences mean something."""

@@ -8,27 +8,26 @@ from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
 from arpd.estimate.belief import Belief
-from arpd.estimate.bursts import Bursts
-from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.cross_traffic import CrossTraffic
-from arpd.estimate.idle import IdleLink
-from arpd.estimate.local_queue import LocalQueue
+from arpd.estimate.local_queue import LocalQueue, QueuePast
 from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
-from arpd.estimate.queue_past import QueuePast
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
+from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
-from arpd.model.wire import probe_wire_bytes
+from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from arpd.model.endpoints import PublisherState
     from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
 
 _ENOUGH_TRAINS = 3
+_ALONE = "the queue of this host's interface"
 _MEASURED = (CapacityKind.PEER, CapacityKind.LOCAL)
 
 
@@ -56,10 +55,10 @@ class Estimator:
         self._settings = settings
         self._schedule = ProbeSchedule()
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
-        self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
+        self._look_weight = 1.0  # of what left this host since the last update
         self._peers = PeerGauges()
         self._loss = ProbeLoss()
         self._copies = 1
@@ -68,13 +67,14 @@ class Estimator:
         self._local = LocalQueue()
         self._cross_traffic = CrossTraffic()
         self._silence = Silence()
-        self._bursts = Bursts()
+        self._publishers: Sequence[PublisherState] = ()  # whose largest sample is known
+        self._largest_bytes = 0.0  # on the link, in all its copies
         self._empty_looks = 0  # at the queue of this host's interface, since the last update
         self._pinged: list[float] = []
         self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
         self._queues = QueuePast(parameters.BUSY_AFTER_S)
-        self._fell_at_s = self._learns_from_s = self._queued_here_s = -math.inf
-        self._idle = IdleLink()
+        self._learns_from_s = -math.inf
+        self._used_s = math.inf  # when more than next to nothing left or arrived last
         self._radio: float | None = None  # bit rate (bytes/s)
 
     @property
@@ -90,27 +90,26 @@ class Estimator:
         """Take new settings; measurements stay."""
         self._settings = settings
         if self._belief.kind is CapacityKind.CONFIGURED:
-            self._belief.capacity = settings.initial_capacity_bytes_per_second
-            self._capacities = CapacityBelief(settings.initial_capacity_bytes_per_second)
+            self._belief.assume(settings.initial_capacity_bytes_per_second)
         if settings.capacity_bytes_per_second is not None:
             self._forget_queue()
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return the estimate."""
         now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
+        # The rate of a short time counts less: how often this host looks is no evidence.
+        self._look_weight = min(1.0, (now_s - self._last_s) / parameters.LOOK_S)
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
-        self._bursts.update(() if observation.relay else observation.publishers, now_s, capacity=capacity)
+        self._note_sizes(() if observation.relay else observation.publishers)
         moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
-        self._idle.note(observation, moved=moved - self._bursts.train_rate(now_s), capacity=capacity)
+        self._used_s = now_s if moved > parameters.RESTING * capacity else min(self._used_s, now_s)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         cross_traffic = self._cross_traffic.update(observation)
-        local.update(observation.counters, now_s, burst_bytes=self._bursts.backlog_bytes, capacity=capacity)
-        if local.busy_rate is not None:
-            self._queued_here_s = now_s
+        local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=capacity)
         for report in observation.reports:
             self._digest(report)
         self._measure_queue(now_s)
@@ -137,7 +136,7 @@ class Estimator:
         The backlog is that before the link interface, None where the kernel does not tell it (bytes).
         """
         # What leaves between two looks at waiting bytes is a reading of the capacity.
-        worth_bytes = min(self._bursts.backlog_bytes, parameters.WORTH_S * self._capacity)
+        worth_bytes = min(self._burst_bytes, parameters.WORTH_S * self._capacity)
         if (
             self._state not in {LinkState.STEADY, LinkState.APP_LIMITED}
             or self._queue_delay_s > self._queue_low_s
@@ -159,25 +158,35 @@ class Estimator:
             is_measured=self._belief.kind is CapacityKind.PEER,
             is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
             is_free=self._queue_delay_s < self._queue_low_s,
-            is_urgent=now_s - self._fell_at_s < parameters.URGENT_S,
-            surprise_bytes_per_second=self._surprise(now_s),
+            is_urgent=now_s - self._belief.fell_at_s < parameters.URGENT_S,
+            surprise_bytes_per_second=self._trains.surprise(
+                now_s, capacity=self._belief.capacity, packet_overhead_s=self._overhead_s
+            ),
             needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
             copies=self._copies,
-            is_idle=self._idle.is_idle,
-            is_resting=self._idle.is_resting,
+            is_resting=self._is_resting,
         )
         requests = tuple(wanted)
         for request in requests:
             self._cross_traffic.note_probe(request, now_s, peers=self._copies)
-            if request.packets > 1:
-                self._bursts.note_train(now_s, self._copies * request.packets * probe_wire_bytes(request.packet_bytes))
-            else:
+            if request.packets == 1:
                 handed_bytes = self._local.handed_bytes
                 self._peers.note_sent(SentPing(number=request.number, sent_s=now_s, handed_bytes=handed_bytes))
             self._loss.note_sent(request)
         return requests
 
     # -- evidence
+
+    def _note_sizes(self, publishers: Sequence[PublisherState]) -> None:
+        if publishers is self._publishers:
+            return
+        self._publishers = publishers
+        sizes = (
+            publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
+            for publisher in publishers
+            if publisher.payload_bytes > 0 and publisher.direction is not Direction.LOCAL
+        )
+        self._largest_bytes = max(sizes, default=0.0)
 
     def _digest(self, report: PeerReport) -> None:
         now_s = report.received_at_s
@@ -194,7 +203,7 @@ class Estimator:
                 self._trains.note(train, now_s, copies=self._copies)
 
     def _measure_queue(self, now_s: float) -> None:
-        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._bursts.backlog_bytes, capacity=self._capacity)
+        backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
         # While nothing arrives, lost bytes look like waiting ones.
         is_out = now_s - self._reported_s > self._outage_s
         self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
@@ -215,32 +224,31 @@ class Estimator:
         self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S
         self._cross_traffic.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
-            self._fell_at_s = now_s
-            self._capacities.scatter(0.7)
+            self._belief.fell_at_s = now_s
+            self._belief.filter.scatter(0.7)
             why = f"reports resumed after {silent_s:.1f} s of silence"
-            self._belief.change(EstimatorEvent.RESUME, now_s, self._capacities.stated(self._belief.capacity), why)
+            self._belief.change(EstimatorEvent.RESUME, now_s, why)
 
     # -- the capacity
 
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
-        believed = self._capacities
+        believed = self._belief.filter
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        why = ""
-        for rate in self._trains.take(packet_overhead_s=self._overhead_s):
-            believed.wait(now_s)
-            believed.train(rate)
-            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
+        why = self._learn_from_trains(now_s)
         pinged, self._pinged = self._pinged, []
         if now_s <= self._learns_from_s:
             return
         late_s = 1.5 * (self._peers.return_delay_s or 0.0)
         stays = self._queues.stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + late_s
         # Bytes from other senders are no evidence.
-        received, most = self._peers.delivery(-math.inf)[0], self._most_delivered
+        received, most = self._peers.delivery(-math.inf)[0], self._local.could_have_arrived(self._queue_delay_s)
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
         hears_others = received > parameters.FOREIGN * most
-        busy = [rate for rate in (self._local.busy_rate, self._peers.busy_rate if has_reports else None) if rate]
+        # What leaves this host arrives at the peer: the same bytes count once.
+        busy, weight = self._local.busy_rate, self._look_weight
+        if busy is None and has_reports:
+            busy, weight = self._peers.busy_rate, 1.0
         if not busy and not stays and delivered > 0:
             # What this host sent beside others' traffic may still wait in a hidden queue, unless a ping met none.
             has_arrived = has_reports and (not hears_others or self._queue_delay_s < parameters.IDLE_S)
@@ -252,77 +260,56 @@ class Estimator:
             believed.filled_by(delivered / (1.0 + growth))
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
         elif not busy and has_reports and delivered > 0:
-            busy = [delivered]
-        for rate in busy:
+            busy, weight = delivered, 1.0
+        if busy:
             believed.wait(now_s)
-            believed.delivered_busy(rate, overhead=self._overhead_of(rate))
+            believed.delivered_busy(busy, weight=weight, overhead=self._peers.overhead_of(busy, self._overhead_s))
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
-        self._state_capacity(now_s, why or "carried without a queue")
+        if self._belief.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS:
+            self._belief.follow(now_s, CapacityKind.PEER, why or "carried without a queue")
+
+    def _learn_from_trains(self, now_s: float) -> str:
+        """Return in words what they saw, empty without any."""
+        why = ""
+        for rate in self._trains.take(packet_overhead_s=self._overhead_s):
+            self._belief.filter.wait(now_s)
+            self._belief.filter.train(rate)
+            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
+        return why
 
     def _weigh_idleness(
         self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool, has_arrived: bool
     ) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
-        believed, overhead = self._capacities, self._overhead_of(delivered)
+        believed, overhead = self._belief.filter, self._peers.overhead_of(delivered, self._overhead_s)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
         if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
-        shows_queue = self._bursts.largest_s > 2.0 * parameters.IDLE_S
+        shows_queue = self._largest_s > 2.0 * parameters.IDLE_S
         pinged = pinged if shows_queue and self._alarm_s == 0.0 else ()
-        is_look = shows_queue and not has_reports and self._local.is_empty and self._is_queued_here
+        is_look = shows_queue and not has_reports and self._local.is_empty and self._local.is_where_it_waits
         carried = parameters.CAUTION * delivered if has_arrived else 0.0
         # Where no ping shows a queue, to carry less than is believed is no news: the belief would only rise with time.
         if (shows_queue and (has_arrived or pinged or is_look)) or carried > self._belief.capacity:
             believed.wait(now_s)
         if has_arrived:
             believed.carried(carried, overhead=overhead)
-        shown = 1.0 - parameters.IDLE_S / self._bursts.largest_s if shows_queue else 0.0
+        shown = 1.0 - parameters.IDLE_S / self._largest_s if shows_queue else 0.0
         for delay_s in pinged:
             is_idle = delay_s < parameters.IDLE_S
             weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
         if is_look:
-            believed.ping(delivered, was_idle=True, weight=self._look_weight, overhead=overhead)
-
-    def _state_capacity(self, now_s: float, why: str) -> None:
-        capacity = self._capacities.stated(self._belief.capacity)
-        if self._belief.kind is not CapacityKind.PEER:
-            if self._trains.count >= _ENOUGH_TRAINS:
-                self._belief.kind = CapacityKind.PEER
-                self._belief.change(EstimatorEvent.FIRST, now_s, capacity, f"first {self._trains.count} trains")
-        elif abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
-            if capacity < parameters.FALLEN * self._belief.capacity:
-                self._fell_at_s = now_s
-            event = EstimatorEvent.DOWN if capacity < self._belief.capacity else EstimatorEvent.UP
-            self._belief.change(event, now_s, capacity, why)
+            believed.ping(delivered, was_idle=True, weight=self._empty_weight, overhead=overhead)
 
     @property
-    def _is_queued_here(self) -> bool:
-        """True when a queue was seen before this host's interface lately, so it is the one of the link."""
-        return self._last_s - self._queued_here_s < parameters.QUEUED_HERE_S
-
-    @property
-    def _look_weight(self) -> float:
+    def _empty_weight(self) -> float:
         return (1 + self._empty_looks) * parameters.LOOK_WEIGHT
-
-    @property
-    def _most_delivered(self) -> float:
-        """What can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s)."""
-        window_s = parameters.DELIVERY_WINDOW_S
-        span_s = window_s + (0.0 if self._is_queued_here else min(2.0, self._queue_delay_s))
-        if self._local.handed_bytes is None:
-            return math.inf
-        return self._local.sent_bytes_per_second(span_s) * span_s / window_s
-
-    def _overhead_of(self, rate: float) -> float:
-        """Return the part of the time that packets of the recent size cost beyond their bytes at this rate."""
-        received, packet_rate = self._peers.delivery(-math.inf)
-        return rate * packet_rate / received * self._overhead_s if received > 0 else 0.0
 
     def _judge(self, now_s: float) -> LinkState:
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
-            is_draining = now_s - self._fell_at_s < parameters.URGENT_S
+            is_draining = now_s - self._belief.fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
         busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
@@ -332,19 +319,17 @@ class Estimator:
         counters, now_s = observation.counters, observation.now_s
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
-        believed, sent = self._capacities, self._local.sent_bytes_per_second()
+        believed, sent = self._belief.filter, self._local.sent_bytes_per_second()
         blocked = self._local.blocked_rate(observation)
         if (rate := self._local.busy_rate or blocked) is not None:
             believed.wait(now_s)
-            believed.delivered_busy(rate)
-            self._belief.kind = CapacityKind.LOCAL
-        elif self._local.is_empty and self._is_queued_here and sent > parameters.USED * self._belief.capacity:
+            believed.delivered_busy(rate, weight=1.0 if self._local.busy_rate is None else self._look_weight)
+            self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
+        elif self._local.is_empty and self._local.is_where_it_waits and sent > parameters.USED * self._belief.capacity:
             believed.wait(now_s)
-            believed.ping(sent, was_idle=True, weight=self._look_weight)
-        if self._belief.kind is CapacityKind.LOCAL:
-            capacity = believed.stated(self._belief.capacity)
-            if abs(capacity / self._belief.capacity - 1.0) > parameters.NOTICED:
-                self._belief.change(EstimatorEvent.LOCAL, now_s, capacity, "the queue of this host's interface")
+            believed.ping(sent, was_idle=True, weight=self._empty_weight)
+            if self._belief.kind is CapacityKind.LOCAL:
+                self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
 
     @property
@@ -360,17 +345,27 @@ class Estimator:
 
     @property
     def _queue_low_s(self) -> float:
-        return parameters.QUEUE_LOW_S + self._bursts.largest_s
+        return parameters.QUEUE_LOW_S + self._largest_s
+
+    @property
+    def _largest_s(self) -> float:
+        """Link time of the largest sample; so much is no queue (s)."""
+        return min(parameters.BURST_CAP_S, self._largest_bytes / self._capacity)
+
+    @property
+    def _burst_bytes(self) -> float:
+        """Bytes that may wait without being a queue."""
+        return max(parameters.BURST_BYTES, parameters.BURST_SHARE * self._largest_bytes)
+
+    @property
+    def _is_resting(self) -> bool:
+        """True while next to nothing leaves or arrives, of topics or of others; traffic that begins ends that."""
+        return self._last_s - self._used_s > parameters.RESTING_S
 
     @property
     def _overhead_s(self) -> float:
         pinned = self._settings.packet_overhead_s
         return self._trains.packet_overhead_s if pinned is None else pinned
-
-    def _surprise(self, now_s: float) -> float | None:
-        """Return what the last train saw, if that is far from the capacity (bytes/s)."""
-        last = self._trains.capacities(now_s - 2.5, packet_overhead_s=self._overhead_s)[-1:]
-        return last[0] if last and abs(last[0] / self._belief.capacity - 1) > parameters.SURPRISE else None
 
     def _estimate(self, now_s: float, cross_traffic: float) -> LinkEstimate:
         since_s, pinned = max(self._trains.newest_s, self._started_at_s), self._settings.capacity_bytes_per_second
@@ -383,9 +378,8 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
-            cautious_ratio=self._capacities.cautious_ratio(capacity) if kind in _MEASURED else 1.0,
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
-            is_resting=self._idle.is_resting,
+            is_resting=self._is_resting,
             age_s=age_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,

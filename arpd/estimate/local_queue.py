@@ -1,4 +1,4 @@
-"""Queue of this host's own interface, and what leaves it."""
+"""Queues: what stands, what only comes and goes; that of this host's own interface, and what leaves it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.estimate.parameters import LOCAL_WINDOW_S
+from arpd.estimate.parameters import DELIVERY_WINDOW_S, LOCAL_WINDOW_S, QUEUED_HERE_S
 from arpd.model.endpoints import Direction
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ class LocalQueue:
         self._backlog = StandingQueue()
         self._since: _Look | None = None
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
+        self._waited_s = -math.inf  # when it was last seen that the interface is never idle
+        self.is_where_it_waits = False  # whether a queue was seen here lately, so it is the one of the link
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0  # more when the queue stood at every recent look, so the interface was never idle
         self.is_empty = False
@@ -59,9 +61,22 @@ class LocalQueue:
             later_s, later = at_s, before
         return (sent - later) / (now_s - later_s) if now_s - later_s > 0.5 * span_s else 0.0
 
+    def could_have_arrived(self, queue_s: float) -> float:
+        """Return what can have arrived of this host's bytes lately: what left it, and waited beyond it (bytes/s).
+
+        Parameters
+        ----------
+        queue_s : queue of the link; before this interface it holds what has not left (s)
+        """
+        if self.handed_bytes is None:
+            return math.inf
+        span_s = DELIVERY_WINDOW_S + (0.0 if self.is_where_it_waits else min(_SENT_MEMORY_S - 1.0, queue_s))
+        return self.sent_bytes_per_second(span_s) * span_s / DELIVERY_WINDOW_S
+
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
         """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
         self.handed_bytes, self.backlog_s, self.is_empty, self.waiting_bytes = None, 0.0, False, 0
+        self.is_where_it_waits = now_s - self._waited_s < QUEUED_HERE_S
         if counters is None or not counters.is_up:
             self._backlog.clear()
             self._sent.clear()
@@ -77,6 +92,8 @@ class LocalQueue:
         self.is_empty = counters.backlog_bytes == 0
         self.handed_bytes = counters.tx_bytes + backlog
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
+        if self._backlog.busy_rate is not None:
+            self._waited_s, self.is_where_it_waits = now_s, True
         self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
 
     def blocked_rate(self, observation: Observation) -> float | None:
@@ -183,3 +200,42 @@ class StandingQueue:
             return 0.0
         rate = (sum(look.left_bytes for look in looks) - looks[0].left_bytes) / span_s
         return looks[-1].waiting_bytes / max(rate, _LEAST_RATE * capacity)
+
+
+_KNOWN = 0.8  # of a span must be known
+
+
+class QueuePast:
+    """Lengths of the queue, as far back as makes a queue stand.
+
+    Parameters
+    ----------
+    span_s : time that it covers (s)
+    """
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s = span_s
+        self._queues: deque[tuple[float, float]] = deque()  # time s, queue s
+
+    def note(self, now_s: float, queue_s: float) -> None:
+        """Note the queue now (s)."""
+        self._queues.append((now_s, queue_s))
+        while len(self._queues) > 1 and now_s - self._queues[1][0] >= self._span_s:
+            self._queues.popleft()
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._queues.clear()
+
+    def stays_s(self, span_s: float) -> float:
+        """Return the shortest queue of a span: bursts come and go, and a queue that stays means a busy link (s)."""
+        if not self._queues or self._queues[-1][0] - self._queues[0][0] < _KNOWN * span_s:
+            return 0.0
+        since_s = self._queues[-1][0] - span_s
+        return min(queue_s for at_s, queue_s in self._queues if at_s >= since_s)
+
+    @property
+    def growth(self) -> float:
+        """How fast the queue grew lately (s/s)."""
+        (before_s, before), (now_s, now) = self._queues[0], self._queues[-1]
+        return (now - before) / (now_s - before_s) if now_s > before_s else 0.0

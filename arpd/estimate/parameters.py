@@ -11,12 +11,13 @@ IDLE_S = 0.003  # a ping that is delayed by less met no queue
 BURST_BYTES, BURST_SHARE = 15_000.0, 0.5  # backlog that is no queue: so many bytes, or this part of the largest message
 OVERDUE_S = 0.02  # a ping that is later than this is worth a look
 WORTH_S = 0.01  # and so are bytes before the link, for so long
-TRAIN_IS_NEAR_S = 0.4  # age up to which a train of ours may be part of a backlog
-TRAIN_SHOWS_S = 0.8  # and part of a rate, with the report of a link that rests
 DELIVERY_WINDOW_S, DELAY_WINDOW_S = 0.300, 10.0  # span of the mean delivery, and of the least delay
+LOOK_S = 0.03  # time between looks at a busy link; what left in less counts less
 LOCAL_WINDOW_S = 1.0  # span over which sending is averaged without a peer
 
-RESTING, RESTING_S = 0.02, 2.0  # part of the capacity below which the link rests, after so long
+# Part of the capacity below which the link rests, after so long. A calm train shows in reports for up to 0.8 s, and
+# must not keep a link from resting until the next one.
+RESTING, RESTING_S = 0.02, 1.0
 
 # The capacity.
 USED = 0.5  # part of the capacity from which on the absence of a queue shows that there is more
@@ -28,7 +29,6 @@ CAUTION = 0.95  # part of what arrived that counts as carried
 FOREIGN = 1.1  # a peer that receives this multiple of what this host sends hears others, too
 NOTICED = 0.015  # relative change that is stated
 FALLEN, URGENT_S = 0.8, 10.0  # part of the capacity below which trains are urgent, and time in which they are
-SURPRISE = 0.2  # relative difference at which a train is confirmed at once
 TRAIN_MEMORY_S = 30.0  # age at which a train is forgotten
 # Most of a radio's bit rate that carries data: 802.11 spends the rest on preambles, contention and acknowledgements.
 RADIO_SHARE = 0.7

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from arpd.model.probing import PeerReport
 
 _BYTES_ARE_FRESH_S = 0.3
-_OVERLAP = 1.3
 _MISSING_PINGS = 5
 _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of their period
 # What waits is read at a tick, up to 20 ms after the report left. So the bytes that arrive in a shorter interval may
@@ -124,17 +123,8 @@ class QueueGauge:
         backlog = outstanding - max(0.0, on_way) - 1.5 * late_s * rate
         self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
         way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
-        if self._overlaps or report.interval_s < way_s:
+        if report.interval_s < way_s:
             self.backlog.busy_rate = None  # what is on a long way looks like what waits
-
-    @property
-    def _overlaps(self) -> bool:
-        """True when reports cover more time than passed: some were late, or two hosts share a name."""
-        if not self._deliveries:
-            return False
-        first_s, interval_s, *_ = self._deliveries[0]
-        passed_s = self._deliveries[-1][0] - first_s + interval_s
-        return sum(each[1] for each in self._deliveries) > _OVERLAP * passed_s
 
     def _waited_out(self, report: PeerReport) -> bool:
         """Return whether a report waited for the end of an outage, so its counts describe the link before.
@@ -276,6 +266,11 @@ class PeerGauges:
         """Return what all peers received in the last intervals that began since then (bytes/s, packets/s)."""
         each = [gauge.delivery(since_s) for gauge in self._gauges.values()]
         return sum(size for size, _ in each), sum(packets for _, packets in each)
+
+    def overhead_of(self, rate: float, packet_overhead_s: float) -> float:
+        """Return the part of the time that packets of the recent size cost beyond their bytes at a rate (bytes/s)."""
+        received, packet_rate = self.delivery(-math.inf)
+        return rate * packet_rate / received * packet_overhead_s if received > 0 else 0.0
 
     @property
     def return_delay_s(self) -> float | None:

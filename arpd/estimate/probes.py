@@ -19,7 +19,7 @@ SHARE = 0.008  # part of the capacity for probes and the reports they cause
 PINGS_SHARE = 0.0035  # part of it for pings and their reports alone
 REPORT_BYTES = 230  # a report on the wire
 PING_S, PING_MOST_S = 0.09, 0.55  # least and most time between pings
-RESTING_PING_S = 0.25  # least while next to nothing crosses: an outage harms nobody then
+RESTING_PING_S = 0.3  # least while next to nothing crosses: an outage harms nobody then
 PING_BYTES = 16  # payload of a ping
 OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # time between pings, and their payload, while the link is out
 PACKET_BYTES = 1_200  # payload in a train; with 16 bytes of layout one datagram, `arpd.model.wire.FRAGMENT_BYTES`
@@ -30,7 +30,7 @@ SMALL_EVERY, PAIR_S = 10, 0.15
 # Least time between trains: before any measurement, in general, while the capacity is doubtful, and after a train that
 # contradicts it.
 FIRST_S, CALM_S, URGENT_S, CONFIRM_S = 0.25, 2.5, 0.5, 0.08
-IDLE_TRAIN_S = 60.0  # time between trains while no topic crosses; the pings are rare then, too
+RESTING_TRAIN_S = 60.0  # time between trains then
 TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
 SAVED_S = 5.0  # span of the budget that can be saved
 
@@ -65,7 +65,6 @@ class ProbeSchedule:
         surprise_bytes_per_second: float | None,
         needs_pair: bool,
         copies: int,
-        is_idle: bool = False,
         is_resting: bool = False,
     ) -> Iterator[ProbeRequest]:
         """Yield the probes to send now.
@@ -79,16 +78,13 @@ class ProbeSchedule:
         surprise_bytes_per_second : what the last train saw, if that contradicts the capacity
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
-        is_idle : True while no topic crosses; nobody needs the capacity then
-        is_resting : True while topics cross that send next to nothing
+        is_resting : True while next to nothing crosses; nobody needs the capacity soon then
         """
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
         ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity_bytes_per_second)))
         if is_resting:
             ping_s = max(ping_s, RESTING_PING_S)
-        if is_idle:
-            ping_s = PING_MOST_S
         self.quiet_s = _QUIET_PINGS * ping_s
         share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
         budget = share * capacity_bytes_per_second
@@ -111,7 +107,11 @@ class ProbeSchedule:
             self._spend(copies * SMALL_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
             yield self._request(SMALL_PACKETS, SMALL_PACKET_BYTES)
         elif now_s - self._train_at_s >= self._pause_s(
-            cost, is_measured=is_measured, is_urgent=is_urgent, is_surprised=is_surprised, is_idle=is_idle
+            cost,
+            is_measured=is_measured,
+            is_urgent=is_urgent,
+            is_surprised=is_surprised,
+            is_resting=is_resting and not needs_pair,
         ):
             self._train_at_s = now_s
             self._is_confirming = is_surprised  # the first confirmation is on credit
@@ -129,7 +129,9 @@ class ProbeSchedule:
         # The first trains may exceed the budget, and this debt is not paid back.
         self._saved_bytes = self._saved_bytes - cost if is_measured else max(0.0, self._saved_bytes - cost)
 
-    def _pause_s(self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool, is_idle: bool) -> float:
+    def _pause_s(
+        self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool, is_resting: bool
+    ) -> float:
         """Return the least time between two trains (s)."""
         if not is_measured:
             return FIRST_S
@@ -138,8 +140,8 @@ class ProbeSchedule:
             return CONFIRM_S
         if is_urgent and can_pay:
             return URGENT_S
-        if is_idle:
-            return IDLE_TRAIN_S
+        if is_resting:
+            return RESTING_TRAIN_S
         return CALM_S if can_pay else TRAIN_MOST_S
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:

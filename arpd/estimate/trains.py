@@ -12,11 +12,12 @@ from arpd.estimate.parameters import TRAIN_MEMORY_S
 if TYPE_CHECKING:
     from arpd.model.probing import Train
 
+_FRESH_S, _SURPRISE = 2.5, 0.2  # a train that differs by more from the capacity is confirmed at once
 _SENDER_LIMITED = 0.8  # a train that arrives as it left: the link takes no longer than that
 _SMALL = 0.5  # of the size of a large packet
 _PAIR_S = 1.0  # a small and a large train this close together saw the same link
 _PAIRS = 15
-_LEAST_PAIRS = 5
+_LEAST_PAIRS, _ENOUGH_PAIRS = 5, 8
 _SLOWER = 2.0  # a pair counts up to this multiple of the present packet time
 _MOST_OVERHEAD = 0.8
 _LATE = 3  # large trains whose fastest one counts
@@ -44,7 +45,7 @@ class TrainLog:
 
     def __init__(self) -> None:
         self._large: deque[_Reading] = deque()
-        self.count = 0  # readings of large packets so far
+        self.count = 0  # readings of large packets since `clear`
         self._taken = 0
         self._last_packet_s = 0.0  # of the last large train; outlives `clear`
         # t_ovh s, whether it is that or less, and the time of a large packet then s
@@ -82,6 +83,7 @@ class TrainLog:
     def clear(self) -> None:
         """Forget the capacities; the overhead of a packet depends on the radio, and stays."""
         self._large.clear()
+        self.count = self._taken = 0
 
     @property
     def packet_overhead_s(self) -> float:
@@ -95,8 +97,8 @@ class TrainLog:
 
     @property
     def needs_pairs(self) -> bool:
-        """True while too few pairs show the overhead on a link of this speed."""
-        return not self._large or len(self._known) < _LEAST_PAIRS
+        """True while too few pairs show the overhead on a link of this speed, and the capacity in the light of it."""
+        return not self._large or len(self._known) < _ENOUGH_PAIRS
 
     @property
     def _known(self) -> list[tuple[float, bool, float]]:
@@ -115,3 +117,8 @@ class TrainLog:
             for reading in self._large
             if reading.at_s >= since_s
         ]
+
+    def surprise(self, now_s: float, *, capacity: float, packet_overhead_s: float) -> float | None:
+        """Return what the last train saw, if that is far from the capacity (bytes/s)."""
+        last = self.capacities(now_s - _FRESH_S, packet_overhead_s=packet_overhead_s)[-1:]
+        return last[0] if last and abs(last[0] / capacity - 1.0) > _SURPRISE else None

@@ -31,7 +31,7 @@ class Broadcast:
                 return False
             message_s = _MESSAGE_BYTES / price.capacity_bytes_per_second
             pause_s = max(message_s / _MOST_SHARE, min(_USUAL_PAUSE_S, message_s / _SHARE))
-            if since_s < pause_s and _level(price) > (1.0 - _URGENT) * _level(self._sent):
+            if since_s < pause_s and _level(price) >= (1.0 - _URGENT) * _level(self._sent):
                 return False
         self._sent, self._sent_s = price, now_s
         return True

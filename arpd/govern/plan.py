@@ -12,7 +12,7 @@ from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.eq4 import alike
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from arpd.model.allocation import Allocation, Topic, TopicAllocation
     from arpd.model.endpoints import PublisherState
@@ -37,10 +37,24 @@ def make_plan(
     generation: int,
     settings: Settings,
 ) -> QosPlan:
-    """Plan for all topics; depth and deadline come in classes, and a row whose class still fits keeps its writer.
+    """Plan for all topics; `rows_and_moves` explains the arguments."""
+    rows, _ = rows_and_moves(allocation, topics, publishers, previous=previous, settings=settings)
+    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
 
-    The uniform policy has no classes: its rows have the exact optimum. A silent source keeps its ceiling and its QoS:
-    it costs nothing now, and finds them when it returns.
+
+def rows_and_moves(
+    allocation: Allocation,
+    topics: Sequence[Topic],
+    publishers: Sequence[PublisherState],
+    *,
+    previous: Mapping[str, TopicPlan],
+    settings: Settings,
+) -> tuple[dict[str, TopicPlan], dict[str, Move]]:
+    """Return a row for each topic, and where its QoS goes, only where it does.
+
+    Depth and deadline come in classes, and a row whose class still fits keeps its writer. The uniform policy has no
+    classes: its rows have the exact optimum. A silent source keeps its ceiling and its QoS: it costs nothing now, and
+    finds them when it returns.
 
     Parameters
     ----------
@@ -50,6 +64,7 @@ def make_plan(
     requests, silent, ladder = tightest_requests(publishers), silent_topics(publishers), _ladder(allocation)
     large = {publisher.topic for publisher in publishers if publisher.payload_bytes > FRAGMENT_BYTES}
     rows: dict[str, TopicPlan] = {}
+    moves: dict[str, Move] = {}
     for row, topic in zip(allocation.topics, topics, strict=True):
         request_ns, kept = requests.get(topic.name, 0), previous.get(topic.name)
         fit = _fit(row, topic, request_ns, slack=settings.program.deadline_slack)
@@ -58,39 +73,14 @@ def make_plan(
             fresh = _silent(fresh, kept, request_ns, is_large=topic.name in large)
         elif kept is not None:
             fresh = _without_noise(fresh, kept)
-            if fit.move(kept, ladder) is Move.NONE:
+            if (move := fit.move(kept, ladder)) is Move.NONE:
                 fresh = with_qos_of(fresh, kept, request_ns)
+            else:
+                moves[topic.name] = move
         if (most_hz := settings.topic(topic.name).max_rate_hz) is not None:
             fresh = replace(fresh, rate_hz=min(fresh.rate_hz, most_hz))
         rows[topic.name] = fresh if allocation.uniform is None else alike(fresh)
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
-
-
-def moves(
-    allocation: Allocation,
-    topics: Sequence[Topic],
-    rows: Mapping[str, TopicPlan],
-    *,
-    requests: Mapping[str, int],
-    silent: Collection[str],
-    settings: Settings,
-    may_deepen: bool,
-) -> dict[str, Move]:
-    """Return where the QoS of rows in force should go, only for the topics that have a row and publish.
-
-    Parameters
-    ----------
-    may_deepen : whether more room for history is a reason to move
-    """
-    slack, ladder = settings.program.deadline_slack, _ladder(allocation)
-    found: dict[str, Move] = {}
-    for row, topic in zip(allocation.topics, topics, strict=True):
-        if topic.name not in silent and (kept := rows.get(topic.name)) is not None:
-            fit = _fit(row, topic, requests.get(topic.name, 0), slack=slack)
-            if not may_deepen:
-                fit = fit._replace(depth=min(fit.depth, kept.depth))
-            found[topic.name] = fit.move(kept, ladder)
-    return found
+    return rows, moves
 
 
 def depths(allocation: Allocation, topics: Sequence[Topic]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Swaps: for how long QoS has not been what the program gives, and what swaps may cost the link."""
+"""Swaps: what they cost the link, and what they may."""
 
 from __future__ import annotations
 
@@ -6,21 +6,18 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from arpd.govern.classes import Move
 from arpd.model.wire import swap_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from arpd.model.endpoints import PublisherState
-    from arpd.model.plan import TopicPlan
 
 _PART = 0.01  # of the lasting budget
 _BURST_S = 30.0
 _FULL = 0.9  # of the burst; the lasting budget, and so the burst, may grow all the time
 # Readers beside the writers of a relay, and what every node has: parameter services, /rosout, arpd's own topics.
 _ENDPOINTS_PER_PUBLISHER, _ENDPOINTS_OF_A_NODE = 2, 20
-_CLASSES_TO_NONE = 4.0  # between any deadline and none
 
 
 class SwapBudget:
@@ -56,44 +53,6 @@ class SwapBudget:
         """Take the costs of the swaps of these topics, also of those that could not wait."""
         self._left -= sum(costs.get(name, 0.0) for name in names)
 
-    def choose(self, costs: Mapping[str, float], uses: Mapping[str, float]) -> frozenset[str]:
-        """Return the topics that must wait, and spend the costs of the others; most use per byte goes first."""
-        waiting = sorted(uses, key=lambda name: (uses[name] / max(1.0, costs[name]), name))
-        while waiting and self.has_room:
-            self.spend(costs, (waiting.pop(),))
-        return frozenset(waiting)
-
-
-class Drift:
-    """Since when the QoS of each topic has not been what the program gives."""
-
-    def __init__(self) -> None:
-        self._since: dict[str, tuple[Move, float]] = {}
-
-    def note(self, now_s: float, moves: Mapping[str, Move]) -> None:
-        """Note where the topics' QoS should go now; a topic that is missing is where it should be."""
-        unknown = (Move.NONE, now_s)
-        self._since = {
-            name: before if (before := self._since.get(name, unknown))[0] is move else (move, now_s)
-            for name, move in moves.items()
-            if move is not Move.NONE
-        }
-
-    def __bool__(self) -> bool:
-        """Return whether a topic should change."""
-        return bool(self._since)
-
-    def is_relaxing(self, name: str) -> bool:
-        """Return whether the QoS in force promises more than the program gives."""
-        return self._since.get(name, (Move.NONE, 0.0))[0] is Move.RELAX
-
-    def ripe(self, now_s: float, *, relax_s: float, tighten_s: float, owed: frozenset[str]) -> frozenset[str]:
-        """Return the topics whose change has lasted, and those among the owed ones that should still change."""
-        least_s = {Move.RELAX: relax_s, Move.TIGHTEN: tighten_s}
-        return frozenset(
-            name for name, (move, since_s) in self._since.items() if name in owed or now_s - since_s >= least_s[move]
-        )
-
 
 def swap_costs(publishers: Sequence[PublisherState], *, participants: int) -> dict[str, float]:
     """Return the discovery bytes that new QoS of each topic puts on the link.
@@ -114,13 +73,3 @@ def swap_costs(publishers: Sequence[PublisherState], *, participants: int) -> di
         cost = 0.0 if publisher.refusal_reason.is_lasting else by_node[publisher.node]
         costs[publisher.topic] = costs.get(publisher.topic, 0.0) + cost
     return costs
-
-
-def usefulness(before: TopicPlan, after: TopicPlan) -> float:
-    """Return the use of a swap: the classes that depth and deadline move by, times the weight of the topic."""
-    moved = abs(math.log2(after.depth / before.depth))
-    if before.deadline_ns and after.deadline_ns:
-        moved += abs(math.log2(after.deadline_ns / before.deadline_ns))
-    elif before.deadline_ns or after.deadline_ns:
-        moved += _CLASSES_TO_NONE
-    return moved * after.weight

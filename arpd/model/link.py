@@ -45,7 +45,6 @@ class LinkEstimate:
     queue_delay_s : queue before the link now, the longest that pings, bytes or this host show (s)
     queue_allowance_s : delay that one large message explains; only a longer one is a standing queue (s)
     standing_delay_s : shortest queue of the last moments; bursts come and go, and leave it at 0 (s)
-    cautious_ratio : part of the capacity that the link most likely exceeds; 1 while the evidence is sharp
     delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms (bytes/s)
     is_resting : True while next to nothing crosses the link
     age_s : time since the newest evidence for the capacity (s)
@@ -67,7 +66,6 @@ class LinkEstimate:
     evidence: str
     queue_allowance_s: float = 0.05
     standing_delay_s: float = 0.0
-    cautious_ratio: float = 1.0
     cross_traffic_bytes_per_second: float = 0.0
     packet_overhead_s: float = 0.0
     loss_ratio: float | None = None

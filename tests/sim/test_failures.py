@@ -208,5 +208,5 @@ def test_memory_that_swings_is_not_followed_upwards():
 
     played = play(settings=DEEP, see=memory(available), duration_s=80.0)
     assert played.plans(14.0, 40.0) == ["memory"]
-    risen_s = [tick.t_s for tick in played.between(40.0, 80.0) if tick.decision.reason == "memory"]
+    risen_s = [tick.t_s for tick in played.between(40.0, 80.0) if tick.decision.reason == "up"]
     assert risen_s == [pytest.approx(70.0, abs=4.5)]

@@ -197,15 +197,6 @@ def test_a_restarted_node_is_no_cross_traffic():
     assert robot.run(1.0)[-1] <= robot.grain
 
 
-def test_resends_after_an_overload_are_no_cross_traffic():
-    """Published samples that were not carried are carried later, from a queue or as resends."""
-    robot = Robot(Source(rate_hz=100.0))
-    robot.run(6.0)
-    robot.run(2.0, carried=0.4 * robot.own)
-    # All of it comes again, at half the rate of the topic itself.
-    assert max(robot.run(2.4, 0.5 * robot.own)) <= robot.grain
-
-
 def test_what_was_sent_into_an_outage_may_come_again():
     """A writer resends samples that the interface carried and nobody received."""
     robot = Robot(Source(rate_hz=100.0))

@@ -178,9 +178,9 @@ def test_a_ping_says_how_rare_reports_may_be():
 
 
 def test_a_link_that_nobody_uses_is_probed_rarely():
-    """While no topic crosses, a measured link costs a small part of what it costs otherwise, but is still looked at."""
+    """While next to nothing crosses, a measured link costs a small part of its usual probes, but is still looked at."""
     busy, idle = Probing().known(), Probing().known()
-    assert 0 < cost(idle.run(300.0, is_idle=True)) < 0.15 * cost(busy.run(300.0))
+    assert 0 < cost(idle.run(300.0, is_resting=True)) < 0.15 * cost(busy.run(300.0))
     assert trains(idle.sent)
 
 

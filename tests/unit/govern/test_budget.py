@@ -7,22 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.govern.budget import Budget
+from arpd.model.allocation import Topic
 from arpd.model.link import LinkState
 from tests.sample_link import LINK
 
 C = LINK.capacity_bytes_per_second
 LINKS = st.builds(
-    lambda capacity, cross, cautious, queue_s, standing_s: replace(
+    lambda capacity, cross, queue_s, standing_s: replace(
         LINK,
         capacity_bytes_per_second=capacity,
         cross_traffic_bytes_per_second=cross,
-        cautious_ratio=cautious,
         queue_delay_s=queue_s,
         standing_delay_s=standing_s,
     ),
     st.floats(1.0, 1e9),
     st.floats(0.0, 1e9),
-    st.floats(0.01, 1.0),
     st.floats(0.0, 60.0),
     st.floats(0.0, 60.0),
 )
@@ -49,11 +48,6 @@ def test_without_a_queue_it_is_the_headroom_of_what_is_available():
     assert allowed(cross_traffic_bytes_per_second=0.25 * C) == pytest.approx(0.6 * C)
 
 
-def test_an_uncertain_capacity_is_used_with_caution():
-    """Only the part counts that the link most likely exceeds."""
-    assert allowed(cautious_ratio=0.5) == pytest.approx(0.4 * C)
-
-
 @given(LINKS)
 def test_it_is_never_above_the_headroom(link):
     """At any estimate the budget is between nothing and the headroom of what is available."""
@@ -74,6 +68,14 @@ def test_it_falls_with_the_queue_to_a_tenth(which):
     assert budgets == sorted(budgets, reverse=True)
     assert any(0.0 < budget < 0.7 * C for budget in budgets)
     assert budgets[-1] == pytest.approx(0.1 * C)
+
+
+@pytest.mark.parametrize(("floors", "goes_on"), [(0.02, 0.1), (0.14, 0.14), (0.9, 0.5)])
+def test_floors_go_on_beside_any_queue(floors, goes_on):
+    """What the floors need goes on, up to half of the link: a command must not stop for the queue of a picture."""
+    command = Topic(name="/c", wire_bytes=0.01 * floors * C, packets=1, desired_rate_hz=200.0, min_rate_hz=100.0)
+    queued = replace(LINK, standing_delay_s=0.5)
+    assert Budget().update(5.0, queued, headroom=0.8, topics=[command]) == pytest.approx(goes_on * C)
 
 
 def test_a_queue_that_one_message_explains_costs_nothing():
@@ -104,8 +106,8 @@ def test_a_rise_lasts_after_half_a_minute():
     assert course(Budget(), (40.0, poor), (31.0, LINK)).lasting_bytes_per_second == pytest.approx(C)
 
 
-def test_queues_caution_and_outages_are_left_out_of_what_lasts():
-    """A queue drains, doubt goes away, and an outage is no capacity: none of them asks for other deadlines."""
-    troubled = replace(LINK, standing_delay_s=1.0, cautious_ratio=0.3)
+def test_queues_and_outages_are_left_out_of_what_lasts():
+    """A queue drains, and an outage is no capacity: none of them asks for other deadlines."""
+    troubled = replace(LINK, standing_delay_s=1.0)
     budget = course(Budget(), (20.0, LINK), (10.0, troubled), (20.0, replace(LINK, state=LinkState.OUTAGE)))
     assert budget.lasting_bytes_per_second == pytest.approx(C)
