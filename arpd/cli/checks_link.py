@@ -14,7 +14,7 @@ from arpd.report.wording import count, listed
 
 if TYPE_CHECKING:
     from arpd.cli.checkup import Finding, Here
-    from arpd.web.api.status import Peer
+    from arpd.web.api.observed import Peer
 
 _MOST_OFFSET_S = 0.02  # a robot that turns at 1 rad/s is 1.1° further on by then
 _LEAST_SIGNAL_DBM = -75

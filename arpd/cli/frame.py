@@ -21,7 +21,7 @@ from arpd.model.quantities import (
     format_size,
     printable,
 )
-from arpd.report.events import Severity
+from arpd.report.conditions import Severity
 from arpd.report.situation import SLOWED_BELOW
 from arpd.report.wording import PACED_ONLY, confirmed, lease
 from arpd.web.api.status import Finding
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
     from arpd.web.api.endpoints import Qos, Topic
     from arpd.web.api.history import History
-    from arpd.web.api.status import Relay, Status
+    from arpd.web.api.observed import Relay
+    from arpd.web.api.status import Status
 
     Show = Callable[[float], str]
 

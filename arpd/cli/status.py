@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.no_daemon import tell_no_daemon
 from arpd.cli.options import add_address, within
 from arpd.model.errors import ArpdError, DaemonUnreachableError, UsageError
-from arpd.report.situation import Condition
+from arpd.report.conditions import Condition
 
 if TYPE_CHECKING:
     from arpd.cli.client import Daemon

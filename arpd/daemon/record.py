@@ -9,9 +9,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.report.decision_log import DecisionLog
-from arpd.report.durations import SwapWatch
 from arpd.report.history import History
-from arpd.report.other_traffic import OtherTraffic
+from arpd.report.situation import since_when
 from arpd.report.snapshot import Snapshot, Totals
 
 if TYPE_CHECKING:
@@ -48,8 +47,6 @@ class Record:
         self.history = History()
         self._tell = tell
         self._totals = Totals()
-        self._swaps = SwapWatch()
-        self._other_traffic = OtherTraffic()
         self._solves: Counter[tuple[str, str]] = Counter()  # by programs of earlier configurations
         self._decision_log = DecisionLog()
         self._has_failed = False  # whether the decision log raised
@@ -89,10 +86,9 @@ class Record:
         picture : the tick, without counts and events
         """
         self._totals = self._count(picture, world, program, governor, configuration)
-        other = self._other_traffic.update(
-            picture.observation, probe_bytes=self._totals.probe_bytes, reports=self._totals.reports
-        )
-        picture = replace(picture, totals=self._totals, other_traffic=other)
+        before = self.snapshot.since_s if self.snapshot is not None else {}
+        picture = replace(picture, totals=self._totals, since_s=before)
+        picture = replace(picture, since_s=since_when(picture))
         try:
             for event in self._decision_log.follow(picture):
                 self._tell(event)
@@ -133,6 +129,5 @@ class Record:
                 [*followed, picture.tick_s],
                 late_s=[late_s for late_s, _ in late],
                 solve_s=picture.allocation.solve_s if is_solved else None,
-                phases=self._swaps.look(picture.observation.publishers),
             ),
         )

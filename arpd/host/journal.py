@@ -11,44 +11,17 @@ import os
 import re
 import sys
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, TextIO
 
 from logging_journald import Facility, JournaldTransport
 
-from arpd.report.events import Event, EventKind, Severity
+from arpd.report.conditions import MESSAGE_IDS, Severity
+from arpd.report.events import Event
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 SOCKET = Path("/run/systemd/journal/socket")
-# These must never change: `journalctl MESSAGE_ID=…` and systemd/arpd.catalog identify events by them.
-MESSAGE_IDS: Mapping[EventKind, str] = MappingProxyType(
-    {
-        EventKind.STARTED: "4e20a19c0e7e4a5493ca2757515a75d5",
-        EventKind.OUTAGE: "32c4ce334a894fc6932278bd88e17243",
-        EventKind.RECOVERED: "f2494d975fad45718d11ef7e3c7e17df",
-        EventKind.INTERFACE: "56baaf112fad4a9696cf65993f5fafcd",
-        EventKind.PEER_FOUND: "c716434f875146e79ba858ed4b525e28",
-        EventKind.PEER_LOST: "d7d08a21c03147eab689d2cdb537711c",
-        EventKind.PLAN: "bbbb582cc18347c595a8792d76eb4057",
-        EventKind.CONFIRMED: "eb0e5cf552d24fa5a7ebde2747d2430f",
-        EventKind.RATES: "f73447f74b29416fb80124cf6bd3c49d",
-        EventKind.PLAN_REFUSED: "c74bec9dcc544a79999250a0f02fcd4a",
-        EventKind.INFEASIBLE: "0931344a58e643f4970621aab49ff3f5",
-        EventKind.FEASIBLE: "879c338a9b844d4cb6ae624e9fd99d1b",
-        EventKind.MEMORY: "114c4af89dd34bbfacdd32ae3bb50293",
-        EventKind.WRITER_REPLACED: "baab9d07406841ef85e991140b3f5467",
-        EventKind.WRITER_KEPT: "83e0d45721be4b2f8998afba53860af0",
-        EventKind.REFUSED: "7784c21ab40844eeb26bec48639300fe",
-        EventKind.TOPIC_FOUND: "44d339d99f5844f6928ddcd380c86c95",
-        EventKind.TOPIC_LOST: "0d243dff404746549e94b08b3fb16d38",
-        EventKind.RELOADED: "5d9245eafe1b4b78b87647010a3fa5bf",
-        EventKind.RELOAD_FAILED: "35736c7d631142bdb8129cbf76075abf",
-        EventKind.STANDING_BY: "087aa90fdbde474c8d0d06feb8442741",
-        EventKind.IN_CHARGE: "1de773e7854d4b7c9395e883a4998466",
-    }
-)
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _NO_FIELD = re.compile(r"[^A-Z0-9_]")
 

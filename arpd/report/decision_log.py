@@ -1,4 +1,4 @@
-"""The decision log: what differs between one snapshot and the next, in plain sentences."""
+"""The decision log: conditions that begin or end, plans, swaps and rates, each in a plain sentence."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections import deque
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.report.event_limits import Quota
-from arpd.report.events import Event, EventKind, Said, Severity
-from arpd.report.log_endpoints import EndpointLog
-from arpd.report.log_link import InterfaceLog, LeaderLog, LinkLog, PeerLog
-from arpd.report.log_plan import FittingLog, PlanLog, WaitingLog
+from arpd.model.quantities import format_duration
+from arpd.report.conditions import MESSAGE_IDS, Condition, Happening, Severity
+from arpd.report.events import Entry, Event
+from arpd.report.log_plan import PlanLog
 from arpd.report.log_rates import RatesLog
-from arpd.report.situation import reload_refused
-from arpd.report.snapshot import Totals
+from arpd.report.log_swaps import SwapLog
+from arpd.report.situation import HIDDEN_WHILE_CUT, found_in, held_s, is_cut, lasting
+from arpd.report.waiting import is_reported
 from arpd.report.wording import count, one_line
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MOST_EVENTS = 200  # kept
 MOST_A_MINUTE = 12  # of each kind; one event then counts the rest of that minute
+_MINUTE_S = 60.0
 _MOST_DETAIL = 200  # characters
 
 
@@ -31,15 +32,10 @@ class DecisionLog:
 
     def __init__(self) -> None:
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
-        self._counts = dict.fromkeys(map(str, EventKind), 0)
-        self._quotas = {kind: Quota(MOST_A_MINUTE) for kind in EventKind}
-        self._flooding: set[EventKind] = set()
-        self._before: Snapshot | None = None
-        self._told = 0
-        self._leader, self._interface, self._link, self._peers = LeaderLog(), InterfaceLog(), LinkLog(), PeerLog()
-        self._plan, self._waiting, self._fitting = PlanLog(), WaitingLog(), FittingLog()
-        self._rates = RatesLog()
-        self._endpoints = EndpointLog()
+        self._counts = dict.fromkeys(MESSAGE_IDS, 0)
+        self._limits: dict[Condition | Happening, _Limit] = {}
+        self._logs = (ConditionLog(), PlanLog(), SwapLog(), RatesLog())
+        self._number = 0
         self._kept: tuple[Event, ...] = ()
         self._counted: Mapping[str, int] = MappingProxyType(dict(self._counts))
 
@@ -55,84 +51,108 @@ class DecisionLog:
 
     def follow(self, snapshot: Snapshot) -> tuple[Event, ...]:
         """Take in the next snapshot and return what happened since the last one."""
-        if snapshot is self._before or snapshot == self._before:
-            return ()
-        said = [*self._within_quota(snapshot), *self._left_out(snapshot.finished_at_s)]
-        self._before = snapshot
-        if not said:
-            return ()
-        events = tuple(self._event(one, snapshot.unix_time_s) for one in said)
-        self._events.extend(events)
-        self._kept = tuple(self._events)
-        self._counted = MappingProxyType(dict(self._counts))
+        entries = [_started(snapshot)] if not self._number else []
+        for log in self._logs:
+            entries += log.follow(snapshot)
+        now_s = snapshot.finished_at_s
+        passed = [entry for entry in entries if self._limits.setdefault(entry.kind, _Limit()).passes(now_s)]
+        passed += self._counts_of_the_rest(snapshot)
+        events = tuple(self._event(entry, snapshot) for entry in passed)
+        if events:
+            self._events.extend(events)
+            self._kept, self._counted = tuple(self._events), MappingProxyType(dict(self._counts))
         return events
 
-    def _within_quota(self, snapshot: Snapshot) -> Iterator[Said]:
-        for one in self._all_of(snapshot):
-            if self._quotas[one.kind].take(snapshot.finished_at_s):
-                yield one
-            else:
-                self._flooding.add(one.kind)
+    def _counts_of_the_rest(self, snapshot: Snapshot) -> Iterator[Entry]:
+        for kind, limit in self._limits.items():
+            if not (number := limit.omitted_until(snapshot.finished_at_s)):
+                continue
+            text = f"{count(number, 'more event', 'more events')} of the kind {kind} in the last minute"
+            if isinstance(kind, Condition):
+                holds = any(finding.condition is kind for finding in lasting(snapshot))
+                text += f"; now: {kind.phrase if holds else kind.ended}"
+            yield Entry(kind, Severity.WARNING, text, details={"omitted": str(number)})
 
-    def _all_of(self, snapshot: Snapshot) -> Iterator[Said]:
-        if self._before is None:
-            yield _started(snapshot)
-        yield from self._leader.follow(snapshot)
-        yield from self._interface.follow(snapshot)
-        yield from self._link.follow(snapshot)
-        yield from self._peers.follow(snapshot)
-        yield from _reloads(self._before.totals if self._before is not None else Totals(), snapshot)
-        yield from self._endpoints.follow(snapshot)
-        yield from self._plan.follow(snapshot)
-        yield from self._waiting.follow(snapshot, made_s=self._plan.made_s)
-        yield from self._fitting.follow(snapshot)
-        yield from self._rates.follow(snapshot)
-
-    def _left_out(self, now_s: float) -> Iterator[Said]:
-        for kind in sorted(self._flooding):
-            if untold := self._quotas[kind].settle(now_s):
-                self._flooding.discard(kind)
-                what = count(untold, f"more event of the kind {kind}", f"more events of the kind {kind}")
-                yield Said(kind, Severity.WARNING, f"{what} in the last minute", details={"untold": str(untold)})
-
-    def _event(self, said: Said, unix_time_s: float) -> Event:
-        self._told += 1
-        self._counts[said.kind] += 1
+    def _event(self, entry: Entry, snapshot: Snapshot) -> Event:
+        self._number += 1
+        self._counts[entry.kind] += 1
         return Event(
-            number=self._told,
-            unix_time_s=unix_time_s,
-            kind=said.kind,
-            severity=said.severity,
-            text=one_line(said.text),
-            topic=said.topic,
-            node=said.node,
-            details=MappingProxyType({name: one_line(text, _MOST_DETAIL) for name, text in said.details.items()}),
+            number=self._number,
+            at_s=snapshot.finished_at_s,
+            unix_time_s=snapshot.unix_time_s,
+            kind=entry.kind,
+            severity=entry.severity,
+            text=one_line(entry.text),
+            topic=entry.topic,
+            node=entry.node,
+            details=MappingProxyType({name: one_line(text, _MOST_DETAIL) for name, text in entry.details.items()}),
         )
 
 
-def _started(snapshot: Snapshot) -> Said:
-    text = f"arpd {snapshot.version} governs {snapshot.interface}"
+class ConditionLog:
+    """Begin and end of each condition: it begins once it has held for its time, and ends when it is gone."""
+
+    def __init__(self) -> None:
+        self._began: dict[Condition, tuple[str, float]] = {}  # what it is about, and when it began (s)
+
+    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
+        """Return what happened since the snapshot before."""
+        now_s, found = snapshot.finished_at_s, {finding.condition for finding in found_in(snapshot)}
+        hidden = HIDDEN_WHILE_CUT if is_cut(snapshot) else set()
+        for condition in [*self._began]:
+            if condition not in found and condition not in hidden:
+                _, began_s = self._began.pop(condition)
+                if condition is not Condition.POSTPONED:  # which the next plan ends
+                    yield _end(condition, now_s - began_s, snapshot)
+        for finding in lasting(snapshot):
+            condition, (about, began_s) = finding.condition, self._began.get(finding.condition, ("", now_s))
+            if condition in self._began and about == finding.about:
+                continue
+            self._began[condition] = finding.about, min(began_s, now_s - held_s(finding, snapshot))
+            yield Entry(condition, condition.severity, finding.phrase, details={"state": "began"})
+
+
+def _end(condition: Condition, lasted_s: float, snapshot: Snapshot) -> Entry:
+    ended = condition.ended
+    if condition is Condition.OUTAGE and not is_reported(snapshot):
+        # Nothing was measured: the sentence must not claim that the link is well.
+        ended = "no outage any longer, although no peer reports: other hosts answer, or nobody is left to wait for"
+    text = f"{ended}, after {format_duration(lasted_s)}"
+    return Entry(condition, Severity.INFO, text, details={"state": "ended", "seconds": f"{lasted_s:.3f}"})
+
+
+class _Limit:
+    """Lets so many events of a kind pass in any minute and counts the rest, until that count has been logged."""
+
+    def __init__(self) -> None:
+        self._passed_s: deque[float] = deque(maxlen=MOST_A_MINUTE)
+        self._omitted = 0
+        self._omitted_since_s = 0.0
+
+    def passes(self, now_s: float) -> bool:
+        """Return whether one more may pass now; otherwise count it."""
+        if not self._omitted and not self._is_full(now_s):
+            self._passed_s.append(now_s)
+            return True
+        if not self._omitted:
+            self._omitted_since_s = now_s
+        self._omitted += 1
+        return False
+
+    def omitted_until(self, now_s: float) -> int:
+        """Return how many did not pass, once a minute is over and there is room to say so; 0 until then."""
+        if not self._omitted or now_s - self._omitted_since_s < _MINUTE_S or self._is_full(now_s):
+            return 0
+        self._passed_s.append(now_s)
+        omitted, self._omitted = self._omitted, 0
+        return omitted
+
+    def _is_full(self, now_s: float) -> bool:
+        passed = self._passed_s
+        return len(passed) == passed.maxlen and now_s - passed[0] < _MINUTE_S
+
+
+def _started(snapshot: Snapshot) -> Entry:
+    text = f"arpd {snapshot.version} manages {snapshot.interface}"
     details = {"version": snapshot.version, "interface": snapshot.interface, "config": snapshot.config_path}
-    return Said(EventKind.STARTED, Severity.INFO, text, details=details)
-
-
-def _reloads(before: Totals, now: Snapshot) -> Iterator[Said]:
-    """Return the reloads that ended since; the daemon's log has every key that changed or is wrong."""
-    ended, ended_before = now.totals.reloads_by_result, before.reloads_by_result
-    if ended == ended_before:
-        return
-    if ended.get("failed", 0) > ended_before.get("failed", 0):
-        refused = reload_refused(now)
-        details = {"config": now.config_path}
-        yield Said(EventKind.RELOAD_FAILED, refused.condition.severity, refused.phrase, details=details)
-    if ended.get("ok", 0) > ended_before.get("ok", 0):
-        keys, keys_before = now.totals.changed_keys_by_effect, before.changed_keys_by_effect
-        changed = keys.get("in_force", 0) - keys_before.get("in_force", 0)
-        waiting = f"; {count(len(now.keys_awaiting_restart), 'key')} of the file after a restart only"
-        what = f"{count(changed, 'key')} changed" if changed else "nothing changed"
-        yield Said(
-            EventKind.RELOADED,
-            Severity.INFO,
-            f"reloaded: {what}" + (waiting if now.keys_awaiting_restart else ""),
-            details={"changed": str(changed), "awaiting_restart": str(len(now.keys_awaiting_restart))},
-        )
+    return Entry(Happening.STARTED, Severity.INFO, text, details=details)

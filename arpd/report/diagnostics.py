@@ -9,8 +9,8 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
-from arpd.report.events import Severity
-from arpd.report.situation import Condition, judge, who_confirmed
+from arpd.report.conditions import Condition, Severity
+from arpd.report.situation import judge, who_confirmed
 
 if TYPE_CHECKING:
     from arpd.report.situation import Situation
@@ -20,25 +20,7 @@ _RECENT_S = 60.0
 _MOST_EVENTS = 10
 _MOST_TOPICS = 10
 _MOST_PEERS = 5
-_OF_LINK = {
-    Condition.INTERFACE_ABSENT,
-    Condition.INTERFACE_DOWN,
-    Condition.OUTAGE,
-    Condition.OVERFULL,
-    Condition.WITHOUT_PEER,
-}
-_OF_PLAN = {
-    Condition.STANDING_BY,
-    Condition.MEASURING,
-    Condition.NOTHING_TO_GOVERN,
-    Condition.DEGRADED,
-    Condition.LIMITED,
-    Condition.UNCONFIRMED,
-    Condition.RELAY_SILENT,
-    Condition.RELAY_CUT,
-    Condition.RELAY_REFUSES,
-}
-_OF_CONFIGURATION = {Condition.RELOAD_REFUSED, Condition.RESTART_NEEDED}
+_NAMES = ("arpd: link", "arpd: plan", "arpd: configuration", "arpd: events")
 
 
 class Level(IntEnum):
@@ -84,23 +66,24 @@ def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
     runs = f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}"
     loaded = f"in force since {_time(snapshot.config_loaded_at_s)}"
     statuses = (
-        _judged(_LINK, situation, _OF_LINK, carries, _link_values(snapshot)),
-        _judged(_PLAN, situation, _OF_PLAN, runs, _plan_values(snapshot, situation)),
-        _judged(_CONFIGURATION, situation, _OF_CONFIGURATION, loaded, _configuration_values(snapshot)),
-        _events(snapshot),
+        _judged("link", situation, carries, _link_values(snapshot)),
+        _judged("plan", situation, runs, _plan_values(snapshot, situation)),
+        _judged("configuration", situation, loaded, _configuration_values(snapshot)),
+        _events(snapshot, now_s=now_s),
     )
-    if (stale := situation.first_of({Condition.STALE})) is None:
+    stale = next((each.text for each in situation.faults if each.condition is Condition.STALE), "")
+    if not stale:
         return statuses
-    return tuple(Status(name=each.name, level=Level.STALE, message=stale.text, values=each.values) for each in statuses)
+    return tuple(Status(name=each.name, level=Level.STALE, message=stale, values=each.values) for each in statuses)
 
 
-def _judged(
-    name: str, situation: Situation, conditions: set[Condition], otherwise: str, values: tuple[tuple[str, str], ...]
-) -> Status:
-    """Return a status with the most important finding among the conditions, or another message without any."""
-    if (finding := situation.first_of(conditions)) is None:
-        return Status(name=name, level=Level.OK, message=otherwise, values=values)
-    return Status(name=name, level=_LEVEL_OF[finding.condition.severity], message=finding.text, values=values)
+def _judged(part: str, situation: Situation, otherwise: str, values: tuple[tuple[str, str], ...]) -> Status:
+    """Return a status with the most important finding of its part, or another message without any."""
+    finding = next((each for each in situation.findings if each.condition.part == part), None)
+    if finding is None:
+        return Status(name=f"arpd: {part}", level=Level.OK, message=otherwise, values=values)
+    level = _LEVEL_OF[finding.condition.severity]
+    return Status(name=f"arpd: {part}", level=level, message=finding.text, values=values)
 
 
 def _link_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
@@ -135,7 +118,7 @@ def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, s
         ("plan", str(decision.plan.generation)),
         ("made for", format_rate(decision.plan.level_bytes_per_second)),
         ("bound by", str(snapshot.allocation.binding)),
-        ("admitted", format_share(decision.gate)),
+        ("allowed above the minimum rates", format_share(decision.gate)),
         ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
         ("waits for", ", ".join(decision.refusals) or "nothing"),
         *slowed[:_MOST_TOPICS],
@@ -153,12 +136,12 @@ def _configuration_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _events(snapshot: Snapshot) -> Status:
+def _events(snapshot: Snapshot, *, now_s: float) -> Status:
     """Return the last events; the worst one within a minute sets the level."""
     events = snapshot.events
-    recent = (event for event in events if snapshot.unix_time_s - event.unix_time_s < _RECENT_S)
+    recent = (event for event in events if now_s - event.at_s < _RECENT_S)
     return Status(
-        name=_EVENTS,
+        name="arpd: events",
         level=max((_LEVEL_OF[event.severity] for event in recent), default=Level.OK),
         message=events[-1].text if events else "nothing has happened yet",
         values=tuple(
@@ -171,6 +154,3 @@ def _time(unix_time_s: float) -> str:
     if not (math.isfinite(unix_time_s) and 0 <= unix_time_s < 2**40):
         return "unknown"
     return datetime.fromtimestamp(unix_time_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-_NAMES = _LINK, _PLAN, _CONFIGURATION, _EVENTS = ("arpd: link", "arpd: plan", "arpd: configuration", "arpd: events")

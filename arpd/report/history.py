@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 from array import array
 from collections import deque
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.quantities import shortened
-from arpd.report.status import API_VERSION, event_documents
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Container, Mapping
 
     from arpd.model.endpoints import PublisherState
-    from arpd.model.link import LinkEstimate
+    from arpd.model.link import LinkEstimate, LinkState
     from arpd.model.plan import TopicPlan
-    from arpd.report.events import Event
     from arpd.report.snapshot import Snapshot
 
 SPAN_S = 600.0
@@ -47,7 +45,7 @@ class LinkSample:
     foreign_bytes_per_second : cross traffic (bytes/s)
     queue_delay_seconds : one-way delay above its minimum (s)
     loss_ratio : share of probe packets lost
-    gate : part of the traffic above the floors that is admitted
+    gate : allowed part of the traffic above the minimum rates
     state : `arpd.model.link.LinkState`
     """
 
@@ -60,7 +58,7 @@ class LinkSample:
     queue_delay_seconds: float
     loss_ratio: float
     gate: float
-    state: str
+    state: LinkState
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -85,9 +83,8 @@ class Sample:
     omitted: int
 
 
-LINK_SERIES = tuple(field.name for field in fields(LinkSample))
 RATE_SERIES = ("planned_rate_hz", "published_rate_hz", "source_rate_hz", "paced_rate_hz")
-_NO_RATES = (math.nan,) * len(RATE_SERIES)
+NO_RATES = (math.nan,) * len(RATE_SERIES)
 
 
 class History:
@@ -118,8 +115,8 @@ class History:
         publishers = {TopicId(p.topic, p.node): p for p in snapshot.observation.publishers}
         plan = snapshot.decision.plan.topics
         self._give_slots(now_s, publishers, plan)
-        width = len(_NO_RATES)
-        values = array("d", _NO_RATES * (max(self._slots.values(), default=-1) + 1))
+        width = len(NO_RATES)
+        values = array("d", NO_RATES * (max(self._slots.values(), default=-1) + 1))
         for identity, slot in self._slots.items():
             if (publisher := publishers.get(identity)) is not None:
                 values[slot * width : (slot + 1) * width] = _rates(publisher, plan.get(identity.topic))
@@ -175,54 +172,5 @@ def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
         queue_delay_seconds=shortened(link.queue_delay_s),
         loss_ratio=math.nan if link.loss_ratio is None else shortened(link.loss_ratio),
         gate=shortened(snapshot.decision.gate),
-        state=str(link.state),
+        state=link.state,
     )
-
-
-def history_document(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
-    """Return the history as a JSON-safe document; the parameters are those of `history_head`."""
-    return {**history_head(samples, events), "topics": list(history_topics(samples))}
-
-
-def history_head(samples: tuple[Sample, ...], events: tuple[Event, ...]) -> dict[str, Any]:
-    """Return the history as a JSON-safe document, but for its topics.
-
-    Parameters
-    ----------
-    samples : oldest first
-    events : of the decision log, oldest first
-    """
-    newest = samples[-1] if samples else None
-    link = {name: _column(getattr(sample.link, name) for sample in samples) for name in LINK_SERIES}
-    gate = link.pop("gate")
-    return {
-        "api_version": API_VERSION,
-        "unix_time_seconds": newest and newest.unix_time_s,
-        "period_seconds": PERIOD_S,
-        "span_seconds": SPAN_S,
-        # Counted back from the newest: somebody may have set the wall clock, and charts need rising times.
-        "times": [round(newest.unix_time_s - (newest.at_s - sample.at_s), 3) for sample in samples] if newest else [],
-        "link": link,
-        "gate": gate,
-        "topics_omitted": newest.omitted if newest else 0,
-        "events": event_documents(events),
-    }
-
-
-def history_topics(samples: tuple[Sample, ...]) -> Iterator[dict[str, Any]]:
-    """Yield the topics of the document one by one, because each takes milliseconds."""
-    if not samples:
-        return
-    width = len(RATE_SERIES)
-    for identity in sorted(samples[-1].slots):
-        slots = (sample.slots.get(identity) for sample in samples)
-        rows = [
-            _NO_RATES if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
-            for sample, slot in zip(samples, slots, strict=True)
-        ]
-        series = {name: _column(row[number] for row in rows) for number, name in enumerate(RATE_SERIES)}
-        yield {"topic": identity.topic, "node": identity.node, **series}
-
-
-def _column(values: Iterable[float | str]) -> list[float | str | None]:
-    return [value if isinstance(value, str) or math.isfinite(value) else None for value in values]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.model.allocation import AllocationStatus
-from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_period, format_rate
-from arpd.report.event_limits import Episode
-from arpd.report.events import EventKind, Said, Severity
-from arpd.report.situation import Condition
-from arpd.report.wording import Change, changes, count
+from arpd.report.conditions import Happening, Severity
+from arpd.report.events import Entry
+from arpd.report.wording import Change, changes, count, joined, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -20,12 +17,6 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _GONE = 0.02  # of the capacity: cross traffic that is not worth naming
-_FITS_S = 10.0  # while a queue drains, the budget may be less than the floors for some seconds
-# How long a refusal lasts before it is an event (s), and its words.
-_REFUSED = {
-    "dwell": (2.0, "a new plan has to wait: the last one is only {age} old (dwell)"),
-    "budget": (0.0, "topics keep depth and deadline for now: swaps have used up their part of the link (budget)"),
-}
 
 
 class PlanLog:
@@ -37,12 +28,7 @@ class PlanLog:
         self._made_s = 0.0
         self._is_awaited = False
 
-    @property
-    def made_s(self) -> float:
-        """When the plan in force was made (s)."""
-        return self._made_s
-
-    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
         """Return what happened since the snapshot before."""
         plan, before = snapshot.decision.plan, self._plan
         if plan is not before:
@@ -55,8 +41,8 @@ class PlanLog:
         if self._is_awaited and _is_in_force(snapshot):
             self._is_awaited = False
             took_s = snapshot.finished_at_s - self._made_s
-            yield Said(
-                EventKind.CONFIRMED,
+            yield Entry(
+                Happening.CONFIRMED,
                 Severity.INFO,
                 f"every publisher runs plan {plan.generation}"
                 + (f", {format_duration(took_s)} after it was made" if took_s > 0 else " already"),
@@ -73,7 +59,7 @@ def _is_in_force(snapshot: Snapshot) -> bool:
     return 0 < snapshot.managed <= snapshot.confirmed
 
 
-def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Said:
+def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Entry:
     plan, cause = snapshot.decision.plan, snapshot.decision.reason
     rows = before.topics if before is not None else {}
     depths, deadlines = _depth_changes(snapshot, rows), _deadline_changes(snapshot, rows)
@@ -87,21 +73,14 @@ def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimat
         "topics": str(len(plan.topics)),
         "topics_changed": str(len(changed)),
     }
-    if cause == "memory":
-        less = sum(change.after - change.before for change in depths) < 0
-        return Said(
-            EventKind.MEMORY,
-            Severity.WARNING if less else Severity.INFO,
-            f"memory allows {'less' if less else 'more'}: {depth_words or 'no depth changes'}",
-            details=details,
-        )
     what = [f"depth {depth_words}"] if depth_words else []
     what += [f"deadline {deadline_words}"] if deadline_words else []
     if what and (unchanged := len(plan.topics.keys() - changed)):
         what.append(f"{count(unchanged, 'topic')} unchanged")
-    return Said(
-        EventKind.PLAN,
-        Severity.WARNING if cause == "down" else Severity.INFO,
+    less = sum(change.after - change.before for change in depths) < 0
+    return Entry(
+        Happening.PLAN,
+        Severity.WARNING if cause == "down" or (cause == "memory" and less) else Severity.INFO,
         f"{_why(snapshot, before, link_then)}: {'; '.join(what) or 'no depth or deadline changes'}",
         details=details,
     )
@@ -109,6 +88,7 @@ def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimat
 
 _OTHER_CAUSES = {
     "budget": "swaps are allowed again",
+    "memory": "the memory for message histories has changed",
     "demand": "what the sources publish has changed",
     "reload": "new configuration",
     "readers": "a reader asks for a shorter deadline",
@@ -130,10 +110,9 @@ def _why(snapshot: Snapshot, before: QosPlan | None, then: LinkEstimate | None) 
 
 def _topics_that_came(plan: QosPlan, before: QosPlan | None) -> str:
     old = before.topics.keys() if before is not None else set()
-    came, left = len(plan.topics.keys() - old), len(old - plan.topics.keys())
-    moved = [f"{count(came, 'topic')} joined"] if came else []
-    moved += [f"{count(left, 'topic')} left"] if left else []
-    return f"{' and '.join(moved) or 'topics came and went'}, {len(plan.topics)} planned"
+    moved = ((sorted(plan.topics.keys() - old), "joined"), (sorted(old - plan.topics.keys()), "left"))
+    words = [f"{listed(names)} {how}" for names, how in moved if names]
+    return f"{joined(words) if words else 'topics came and went'}, {len(plan.topics)} planned"
 
 
 def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, plan: QosPlan, *, fell: bool) -> str:
@@ -186,62 +165,3 @@ def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[
             weight = abs(row.depth - was) * publisher.payload_bytes
             found[publisher.topic] = Change(publisher.topic, was, row.depth, weight)
     return list(found.values())
-
-
-class WaitingLog:
-    """Plans and swaps that are due and have to wait: one event per reason while the plan in force stays."""
-
-    def __init__(self) -> None:
-        self._since_s: dict[str, float] = {}
-        self._told: set[tuple[int, str]] = set()
-
-    def follow(self, snapshot: Snapshot, *, made_s: float) -> Iterator[Said]:
-        """Return what happened since the snapshot before.
-
-        Parameters
-        ----------
-        made_s : when the plan in force was made (s)
-        """
-        now_s, decision = snapshot.finished_at_s, snapshot.decision
-        if not (decision.refusals or self._since_s):
-            return
-        generation = decision.plan.generation
-        self._told = {told for told in self._told if told[0] == generation}
-        self._since_s = {reason: self._since_s.get(reason, now_s) for reason in decision.refusals}
-        for reason, since_s in self._since_s.items():
-            lasts_s, words = _REFUSED.get(reason, (0.0, f"a new plan has to wait ({reason})"))
-            if now_s - since_s < lasts_s or (generation, reason) in self._told:
-                continue
-            self._told.add((generation, reason))
-            yield Said(
-                EventKind.PLAN_REFUSED,
-                Severity.INFO,
-                words.format(age=format_duration(now_s - made_s)),
-                details={"reason": reason, "generation": str(generation)},
-            )
-
-
-class FittingLog:
-    """Begin and end of a link too slow for everything asked for; outages have events of their own."""
-
-    def __init__(self) -> None:
-        self._lacking = Episode(hold_s=_FITS_S, most=3)
-
-    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
-        """Return what happened since the snapshot before."""
-        allocation = snapshot.allocation
-        is_lacking = allocation.status is AllocationStatus.DEGRADED
-        if snapshot.link.state is LinkState.OUTAGE or allocation.status is AllocationStatus.EMPTY:
-            is_lacking = self._lacking.holds
-        if (turn := self._lacking.look(snapshot.finished_at_s, holds=is_lacking)) is None:
-            return
-        details = {"binding": str(allocation.binding)}
-        again = f"{count(turn.untold, 'more change')} in the last minute; " if turn.untold else ""
-        if turn.holds:
-            why = f": {allocation.degradation}" if allocation.degradation else ""
-            text = f"{again}{Condition.DEGRADED.phrase}{why}"
-            yield Said(EventKind.INFEASIBLE, Condition.DEGRADED.severity, text, details=details)
-        else:
-            after = f" after {format_duration(turn.lasted_s)}" if turn.lasted_s else ""
-            text = f"{again}everything asked for fits again{after}"
-            yield Said(EventKind.FEASIBLE, Severity.INFO, text, details=details)

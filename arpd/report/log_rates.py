@@ -8,8 +8,9 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from arpd.model.link import LinkState
-from arpd.report.events import EventKind, Said
-from arpd.report.situation import Condition, slowed_topics
+from arpd.report.conditions import Condition, Happening
+from arpd.report.events import Entry
+from arpd.report.situation import slowed_topics
 from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import Change, changes, count
 
@@ -30,13 +31,13 @@ class RatesLog:
     def __init__(self) -> None:
         self._seen: deque[Mapping[str, Slowed]] = deque(maxlen=_LOOKS)
         self._due_s = -math.inf
-        self._told: Mapping[str, Slowed] = {}  # the last event
+        self._logged: Mapping[str, Slowed] = {}  # the last event
 
-    def follow(self, snapshot: Snapshot) -> Iterator[Said]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
         """Return what happened since the snapshot before."""
         if snapshot.observation.active_daemon:
             self._seen.clear()
-            self._told = {}
+            self._logged = {}
         if snapshot.finished_at_s < self._due_s or not snapshot.allocation.topics:
             return
         if snapshot.link.state is LinkState.OUTAGE:  # it has an event of its own
@@ -48,12 +49,12 @@ class RatesLog:
             return
         lasting = {topic: [seen[topic] for seen in self._seen] for topic in set.intersection(*map(set, self._seen))}
         # A topic that is slowed at times only stays what it was.
-        stays = {topic: told for topic, told in self._told.items() if any(topic in seen for seen in self._seen)}
+        stays = {topic: before for topic, before in self._logged.items() if any(topic in seen for seen in self._seen)}
         now = stays | {topic: _mean(seen) for topic, seen in lasting.items()}
-        are_others = now.keys() != self._told.keys()
-        if are_others or any(all(_is_far(one, self._told[topic]) for one in seen) for topic, seen in lasting.items()):
-            yield _said(self._told, now)
-            self._told = now
+        are_others = now.keys() != self._logged.keys()
+        if are_others or any(all(_is_far(one, self._logged[topic]) for one in seen) for topic, seen in lasting.items()):
+            yield _entry(self._logged, now)
+            self._logged = now
             self._seen.clear()
 
 
@@ -66,7 +67,7 @@ def _is_far(one: Slowed, other: Slowed) -> bool:
     return max(one.kept, other.kept) > _AS_BEFORE * min(one.kept, other.kept)
 
 
-def _said(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Said:
+def _entry(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Entry:
     moved = []
     for topic in before.keys() | now.keys():
         source_hz = (now.get(topic) or before[topic]).source_hz
@@ -77,4 +78,4 @@ def _said(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Said:
     condition = Condition.LIMITED if now else Condition.CLEAR
     what = f"the link slows {count(len(now), 'topic')}" if now else "the link slows no topic any longer"
     details = {"topics_slowed": str(len(now))}
-    return Said(EventKind.RATES, condition.severity, f"{what}: {words}" if words else what, details=details)
+    return Entry(Happening.RATES, condition.severity, f"{what}: {words}" if words else what, details=details)

@@ -1,91 +1,48 @@
-"""The one judgement of the daemon: its link, its plan, its ticks and its configuration.
-
-The decision log, ``systemctl status``, the page, ``arpd status``, ``arpd top`` and /diagnostics take conditions,
-severities, words and thresholds from here.
-"""
+"""The one judgement of the daemon: which conditions hold, and why."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple, Self
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.model.allocation import AllocationStatus, Binding
+from arpd.model.allocation import AllocationStatus
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.model.settings import AUTO
 from arpd.report import waiting
-from arpd.report.events import EventKind, Severity
+from arpd.report.conditions import Condition
 from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import AT_FLOORS, confirmed, count, listed, short
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from arpd.model.relay import RelaySummary
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
 
-STALE_AFTER_S = 3.0  # ticks are 0.1 s apart
-UNCONFIRMED_AFTER_S = 15.0  # a swap proves itself within seconds, and arpd tries again
 SLOWED_BELOW = 0.95  # of what the source publishes; a rate within a twentieth of it slows nobody
 _DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
 _LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people
-_STEPS = 20  # of the admitted part in the line for systemd, which sends each change to everybody who watches
+_STEPS = 20  # of the allowed part in the line for systemd, which sends each change to everybody who watches
 _EMPTY_QUEUE_S = 0.001
 _LOSSY = 0.01
-_OF_THE_LINK = {Binding.LINK, Binding.FLOOR}
-_PLAN_BEGINS = {EventKind.PLAN, EventKind.MEMORY, EventKind.TOPIC_FOUND}
-
-
-class Condition(StrEnum):
-    """A condition of the daemon: of link and plan, the most important first; then faults beside it, the worst first.
-
-    Attributes
-    ----------
-    severity : of a finding, and of the event that begins the condition
-    headline : a few words that stay the same while the condition does
-    is_wrong : True where somebody should look: `arpd status` exits 1
-    """
-
-    severity: Severity
-    headline: str
-    is_wrong: bool
-
-    STANDING_BY = "standing_by", Severity.WARNING, "Standing by", True
-    INTERFACE_ABSENT = "interface_absent", Severity.WARNING, "The link is down", True  # it was never there
-    INTERFACE_DOWN = "interface_down", Severity.ERROR, "The link is down", True
-    OUTAGE = "outage", Severity.ERROR, "The link carries nothing", True
-    MEASURING = "measuring", Severity.INFO, "No plan yet", False
-    NOTHING_TO_GOVERN = "nothing_to_govern", Severity.INFO, "Nothing to govern", False
-    DEGRADED = "degraded", Severity.WARNING, "Not everything asked for fits", True
-    OVERFULL = "overfull", Severity.WARNING, "The link is overfull", False
-    LIMITED = "limited", Severity.WARNING, "The link is the limit", False
-    CLEAR = "clear", Severity.INFO, "The link is fine", False
-    STALE = "stale", Severity.ERROR, "No tick finishes", True
-    RELOAD_REFUSED = "reload_refused", Severity.ERROR, "Reload refused", True
-    RELAY_SILENT = "relay_silent", Severity.ERROR, "The relay on the robot is silent", True
-    RELAY_CUT = "relay_cut", Severity.WARNING, "The relay's ends do not meet", True
-    RELAY_REFUSES = "relay_refuses", Severity.WARNING, "The relay refuses topics", True
-    UNCONFIRMED = "unconfirmed", Severity.WARNING, "Plan not confirmed", True
-    RESTART_NEEDED = "restart_needed", Severity.WARNING, "Restart needed", False
-    WITHOUT_PEER = "without_peer", Severity.INFO, "No peer reports", False
-
-    def __new__(cls, name: str, severity: Severity, headline: str, is_wrong: bool) -> Self:  # noqa: FBT001 - the table above names none
-        """Return a member: its name in documents, and its attributes."""
-        condition = str.__new__(cls, name)
-        condition._value_ = name
-        condition.severity, condition.headline, condition.is_wrong = severity, headline, is_wrong
-        return condition
-
-    @property
-    def phrase(self) -> str:
-        """The headline inside a sentence."""
-        return self.headline[0].lower() + self.headline[1:]
-
-
-_WAITS = {Condition.MEASURING, Condition.NOTHING_TO_GOVERN}
+_RANK = {condition: number for number, condition in enumerate(Condition)}
+# What nobody can know while the link is cut or another daemon drives the robot: it neither begins nor ends.
+HIDDEN_WHILE_CUT = {
+    Condition.MINIMUM_RATES,
+    Condition.RELAY_CUT,
+    Condition.UNCONFIRMED,
+    Condition.WITHOUT_PEER,
+    Condition.POSTPONED,
+}
+_POSTPONED = {
+    "dwell": "the last plan is too young (governor.dwell)",
+    "budget": "limit reached: swaps have used up their part of the link",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +52,14 @@ class Finding:
     Parameters
     ----------
     why : what follows the headline, without a full stop
+    about : what it is about; it begins anew with another
+    lasts_s : for how long it has held, where the snapshot knows (s)
     """
 
     condition: Condition
     why: str
+    about: str = ""
+    lasts_s: float | None = None
 
     @property
     def text(self) -> str:
@@ -140,10 +101,10 @@ class Situation:
         """The condition that matters most."""
         return self.conditions[0]
 
-    def first_of(self, conditions: Container[Condition]) -> Finding | None:
-        """Return the most important finding among the given conditions, None where none of them holds."""
-        found = (*self.conditions, *self.faults)
-        return next((finding for finding in found if finding.condition in conditions), None)
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All that holds."""
+        return (*self.conditions, *self.faults)
 
 
 def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: float | None = None) -> Situation:
@@ -156,11 +117,153 @@ def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: 
     """
     rows = topic_rows(snapshot) if rows is None else rows
     slowed = slowed_topics(rows)
+    found = lasting(snapshot)
+    if not is_cut(snapshot):
+        found += _course(snapshot, sum(row.planned is not None for row in rows), slowed)
+    if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > Condition.STALE.holds_s:
+        why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
+        found.append(Finding(Condition.STALE, why))
+    found.sort(key=lambda finding: _RANK[finding.condition])
+    last = _RANK[Condition.CLEAR]
     return Situation(
-        conditions=tuple(_conditions(snapshot, sum(row.planned is not None for row in rows), slowed)),
-        faults=tuple(_faults(snapshot, now_s)),
+        conditions=tuple(each for each in found if _RANK[each.condition] <= last),
+        faults=tuple(each for each in found if _RANK[each.condition] > last),
         slowed=slowed,
     )
+
+
+def lasting(snapshot: Snapshot) -> list[Finding]:
+    """Return the events among the conditions that have held for their time."""
+    return [each for each in found_in(snapshot) if held_s(each, snapshot) >= each.condition.holds_s]
+
+
+def held_s(finding: Finding, snapshot: Snapshot) -> float:
+    """Return for how long a condition has held (s)."""
+    if finding.lasts_s is not None:
+        return finding.lasts_s
+    about, since_s = snapshot.since_s.get(finding.condition, ("", math.inf))
+    return max(0.0, snapshot.finished_at_s - since_s) if about == finding.about else 0.0
+
+
+def since_when(snapshot: Snapshot) -> Mapping[Condition, tuple[str, float]]:
+    """Return what each condition that holds is about, and since when, from what the turn before knew (s)."""
+    now_s = snapshot.finished_at_s
+    since_s = {each.condition: (each.about, now_s - held_s(each, snapshot)) for each in found_in(snapshot)}
+    return MappingProxyType(since_s)
+
+
+def found_in(snapshot: Snapshot) -> Iterator[Finding]:
+    """Yield those conditions of a snapshot that are events, however short; no wall clock has a say."""
+    observation = snapshot.observation
+    if where := observation.active_daemon:
+        yield Finding(Condition.STANDING_BY, f"another arpd daemon, on {where}, drives this robot")
+    elif others := observation.other_daemons:
+        yield Finding(Condition.SPARE_DAEMON, f"on {listed(others)}, in the same ROS domain")
+    if fault := _interface_fault(snapshot):
+        yield Finding(Condition.INTERFACE_DOWN, f"{fault}; arpd goes on by itself when that changes", fault)
+    elif snapshot.link.state is LinkState.OUTAGE:
+        yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
+    yield from _of_configuration(snapshot)
+    yield from _of_relay(snapshot)
+    if why := waiting.peer(snapshot):
+        silent_s = waiting.lost_for_s(snapshot)
+        if silent_s is not None:
+            yield Finding(Condition.PEER_LOST, why, lasts_s=silent_s)
+        elif not is_cut(snapshot):
+            yield Finding(Condition.WITHOUT_PEER, why)
+    if not is_cut(snapshot):
+        yield from _of_far_side(snapshot)
+
+
+def is_cut(snapshot: Snapshot) -> bool:
+    """Return whether the link carries nothing, or another daemon drives the robot."""
+    is_down = state_of(snapshot.observation.counters).fault or snapshot.link.state is LinkState.OUTAGE
+    return bool(is_down or snapshot.observation.active_daemon)
+
+
+def _interface_fault(snapshot: Snapshot) -> str:
+    """Say why the link interface carries nothing, empty when it can carry."""
+    if not (fault := state_of(snapshot.observation.counters).fault):
+        return ""
+    if snapshot.has_interface:
+        return f"{snapshot.interface} {fault}"
+    what = "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"
+    return f"{what}; compare link.interface with what ip link lists"
+
+
+def _of_configuration(snapshot: Snapshot) -> Iterator[Finding]:
+    if error := snapshot.config_error:
+        yield Finding(Condition.RELOAD_REFUSED, f"{error} (the configuration in force stays)", error)
+    if keys := snapshot.keys_awaiting_restart:
+        names = listed(keys)
+        why = f"the file's {names} {'is' if len(keys) == 1 else 'are'} not in force"
+        yield Finding(Condition.RESTART_NEEDED, why, names)
+
+
+def _of_relay(snapshot: Snapshot) -> Iterator[Finding]:
+    relay = snapshot.observation.relay
+    if snapshot.observation.is_relay_silent:
+        start = "start it: sudo systemctl enable --now arpd-relay"
+        yield Finding(Condition.RELAY_SILENT, f"it tells this daemon nothing; {start}; or see journalctl -u arpd-relay")
+    if relay is None:
+        return
+    if not is_cut(snapshot) and (why := _why_cut(relay)):
+        yield Finding(Condition.RELAY_CUT, why)
+    if refused := {**relay.to_robot.refused, **relay.to_base.refused}:
+        first, *more = sorted(refused)
+        also = f"; also {listed(more)}" if more else ""
+        yield Finding(Condition.RELAY_REFUSES, f"{short(first)}: {refused[first]}{also}", " ".join(sorted(refused)))
+
+
+def _why_cut(relay: RelaySummary) -> str:
+    if relay.fault:
+        return f"the base computer's end is not understood: {relay.fault}"
+    if relay.is_reachable:
+        return ""
+    who = "no end on the base computer is heard"
+    if relay.other_host:
+        who = f"the base computer's end on {relay.other_host} is silent"
+    start = "start it there: sudo systemctl enable --now arpd-relay-far"
+    return f"{who}, so no topic crosses; {start}; or see its journal"
+
+
+def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
+    """Yield what can be known only over a link that carries."""
+    allocation, decision = snapshot.allocation, snapshot.decision
+    if allocation.status is AllocationStatus.DEGRADED and snapshot.managed:
+        yields = f"arpd gives up the least important first ({allocation.degradation})"
+        yield Finding(Condition.MINIMUM_RATES, f"{_budget(snapshot)}, and {yields}; {_effect(snapshot)}")
+    if snapshot.confirmed < (managed := snapshot.managed):
+        late = Finding(Condition.UNCONFIRMED, "", f"plan {decision.plan.generation} for {managed}")
+        # In whole seconds: the status line goes to systemd whenever it changes.
+        after = format_duration(held_s(late, snapshot) // 1)
+        yield replace(late, why=f"{who_confirmed(snapshot)} after {after}")
+    if decision.refusals:
+        about = f"plan {decision.plan.generation}: {' '.join(decision.refusals)}"
+        words = (_POSTPONED.get(reason, reason) for reason in decision.refusals)
+        yield Finding(Condition.POSTPONED, "; ".join(words), about)
+
+
+def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
+    """Yield what the link is like, and what arpd does about it: as it changes from tick to tick, it is no event."""
+    if not planned:
+        is_found = any(publisher.direction != "local" for publisher in snapshot.observation.publishers)
+        if is_found:
+            yield Finding(Condition.MEASURING, waiting.first_plan(snapshot))
+        else:
+            yield Finding(Condition.NOTHING_TO_MANAGE, waiting.topics(snapshot))
+        return
+    if _is_draining(snapshot):
+        yield Finding(Condition.QUEUE, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short")
+    if not slowed:
+        carries = format_rate(snapshot.link.capacity_bytes_per_second)
+        why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
+        yield Finding(Condition.CLEAR, f"{why}; {_unmeasured(snapshot) or _queue_and_loss(snapshot)}")
+        return
+    _, most, rate_hz, source_hz = slowed[0]
+    rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
+    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
+    yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
 
 
 def slowed_topics(rows: Iterable[TopicRow]) -> tuple[Slowed, ...]:
@@ -169,17 +272,9 @@ def slowed_topics(rows: Iterable[TopicRow]) -> tuple[Slowed, ...]:
         sorted(
             Slowed(kept, row.publisher.topic, row.allocation.rate_hz, row.publisher.source_rate_hz)
             for row in rows
-            if row.allocation is not None and (kept := kept_ratio(row)) < SLOWED_BELOW
+            if row.allocation is not None and (kept := row.kept_ratio) < SLOWED_BELOW
         )
     )
-
-
-def kept_ratio(row: TopicRow) -> float:
-    """Return the part of its source's rate that the link leaves a topic now; 1 where the link does not slow it."""
-    source_hz, allocation = row.publisher.source_rate_hz, row.allocation
-    if row.planned is None or allocation is None or source_hz <= 0 or allocation.binding not in _OF_THE_LINK:
-        return 1.0
-    return min(1.0, allocation.rate_hz / source_hz)
 
 
 def _is_draining(snapshot: Snapshot) -> bool:
@@ -192,38 +287,6 @@ def _is_draining(snapshot: Snapshot) -> bool:
     return snapshot.allocation.capacity_bytes_per_second < _DRAINS_BELOW * usable
 
 
-def _conditions(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
-    if (other := standing_by(snapshot)) is not None:
-        yield other
-    if (fault := interface_fault(snapshot)) is not None:
-        condition, what = fault
-        is_absent = condition is Condition.INTERFACE_ABSENT
-        where = "; compare link.interface with what ip link lists" if is_absent else ""
-        yield Finding(condition, f"{what}; arpd goes on by itself when that changes{where}")
-    elif snapshot.link.state is LinkState.OUTAGE:
-        yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
-    elif other is None:
-        yield from _governing(snapshot, planned, slowed) if planned else (_without_plan(snapshot),)
-
-
-def _governing(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
-    allocation = snapshot.allocation
-    if allocation.status is AllocationStatus.DEGRADED:
-        yields = f"arpd gives up the least important first ({allocation.degradation})"
-        yield Finding(Condition.DEGRADED, f"{_budget(snapshot)}, and {yields}; {_effect(snapshot)}")
-    if _is_draining(snapshot):
-        yield Finding(Condition.OVERFULL, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short")
-    if not slowed:
-        carries = format_rate(snapshot.link.capacity_bytes_per_second)
-        why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
-        yield Finding(Condition.CLEAR, f"{why}; {_unmeasured(snapshot) or _queue_and_loss(snapshot)}")
-        return
-    _, most, rate_hz, source_hz = slowed[0]
-    rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
-    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
-    yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
-
-
 def _budget(snapshot: Snapshot) -> str:
     """Say what the topics may use now."""
     budget, capacity = snapshot.allocation.capacity_bytes_per_second, snapshot.link.capacity_bytes_per_second
@@ -232,79 +295,9 @@ def _budget(snapshot: Snapshot) -> str:
     return f"topics may use {format_rate(budget)} of {format_rate(capacity)}"
 
 
-def _without_plan(snapshot: Snapshot) -> Finding:
-    if any(publisher.direction != "local" for publisher in snapshot.observation.publishers):
-        return Finding(Condition.MEASURING, waiting.first_plan(snapshot))
-    return Finding(Condition.NOTHING_TO_GOVERN, waiting.topics(snapshot))
-
-
-def _faults(snapshot: Snapshot, now_s: float | None = None) -> Iterator[Finding]:
-    if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > STALE_AFTER_S:
-        yield stale(age_s)
-    if snapshot.config_error:
-        yield reload_refused(snapshot)
-    yield from _relay_faults(snapshot)
-    if (waited_s := _unconfirmed_s(snapshot)) > UNCONFIRMED_AFTER_S:
-        # In whole seconds: the status line goes to systemd whenever it changes.
-        yield Finding(Condition.UNCONFIRMED, f"{who_confirmed(snapshot)} after {format_duration(waited_s // 1)}")
-    if keys := snapshot.keys_awaiting_restart:
-        why = f"the file's {listed(keys)} {'is' if len(keys) == 1 else 'are'} not in force"
-        yield Finding(Condition.RESTART_NEEDED, why)
-    is_cut = snapshot.link.state is LinkState.OUTAGE or interface_fault(snapshot) is not None
-    if not is_cut and standing_by(snapshot) is None and (why := waiting.peer(snapshot)):
-        yield Finding(Condition.WITHOUT_PEER, why)
-
-
-def _relay_faults(snapshot: Snapshot) -> Iterator[Finding]:
-    relay = snapshot.observation.relay
-    if snapshot.observation.is_relay_silent:
-        start = "start it: sudo systemctl enable --now arpd-relay"
-        yield Finding(Condition.RELAY_SILENT, f"it tells this daemon nothing; {start}; or see journalctl -u arpd-relay")
-    if relay is None:
-        return
-    if relay.fault:
-        yield Finding(Condition.RELAY_CUT, f"the base computer's end is not understood: {relay.fault}")
-    elif not relay.is_reachable and snapshot.link.state is not LinkState.OUTAGE:
-        who = (
-            f"the base computer's end on {relay.other_host} is silent"
-            if relay.other_host
-            else "no end on the base computer is heard"
-        )
-        start = "start it there: sudo systemctl enable --now arpd-relay-far"
-        yield Finding(Condition.RELAY_CUT, f"{who}, so no topic crosses; {start}; or see its journal")
-    if refused := {**relay.to_robot.refused, **relay.to_base.refused}:
-        first, *more = sorted(refused)
-        also = f"; also {listed(more)}" if more else ""
-        yield Finding(Condition.RELAY_REFUSES, f"{short(first)}: {refused[first]}{also}")
-
-
-def reload_refused(snapshot: Snapshot) -> Finding:
-    """Return the finding for a refused reload."""
-    return Finding(Condition.RELOAD_REFUSED, f"{snapshot.config_error} (the configuration in force stays)")
-
-
-def stale(age_s: float) -> Finding:
-    """Return the finding for a last tick that finished so long ago (s)."""
-    why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
-    return Finding(Condition.STALE, why)
-
-
 def who_confirmed(snapshot: Snapshot) -> str:
     """Say how many publishers run the plan in force."""
     return confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)
-
-
-def _unconfirmed_s(snapshot: Snapshot) -> float:
-    """Return for how long publishers do not follow the plan (s); 0 where the decision log does not say."""
-    if snapshot.confirmed >= snapshot.managed:
-        return 0.0
-    began = None
-    for began in reversed(snapshot.events):
-        if began.kind is EventKind.CONFIRMED:
-            return 0.0
-        if began.kind in _PLAN_BEGINS:
-            break
-    return 0.0 if began is None else snapshot.unix_time_s - began.unix_time_s
 
 
 def _effect(snapshot: Snapshot) -> str:
@@ -335,41 +328,25 @@ def _queue(snapshot: Snapshot) -> str:
     return f"{format_duration(delay_s)} of queue" if delay_s >= _EMPTY_QUEUE_S else "no queue"
 
 
-def standing_by(snapshot: Snapshot) -> Finding | None:
-    """Return the finding for a robot that another daemon drives, None where this one drives it."""
-    if not (where := snapshot.observation.active_daemon):
-        return None
-    why = f"another arpd daemon, on {where}, drives this robot"
-    return Finding(Condition.STANDING_BY, why)
-
-
-def interface_fault(snapshot: Snapshot) -> tuple[Condition, str] | None:
-    """Return why the link interface carries nothing, None when it can carry."""
-    if not (fault := state_of(snapshot.observation.counters).fault):
-        return None
-    if snapshot.has_interface:
-        return Condition.INTERFACE_DOWN, f"{snapshot.interface} {fault}"
-    what = "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"
-    return Condition.INTERFACE_ABSENT, what
-
-
 def status_line(snapshot: Snapshot | None) -> str:
     """Return one line for ``systemctl status``; rates are rounded, so that it changes rarely."""
     if snapshot is None:
         return "starting"
-    if (other := standing_by(snapshot)) is not None:
-        return other.phrase
+    # Judged whole only while nothing is planned: such a judgement reads every topic.
+    found = lasting(snapshot) if snapshot.managed else judge(snapshot).findings
+    phrases = {finding.condition: finding.phrase for finding in found}
+    if (other := phrases.get(Condition.STANDING_BY)) is not None:
+        return other
+    waits = phrases.pop(Condition.MEASURING, "") or phrases.pop(Condition.NOTHING_TO_MANAGE, "")
+    faults = [phrase for condition, phrase in phrases.items() if _RANK[condition] > _RANK[Condition.CLEAR]]
+    return "; ".join(filter(None, [_interface_fault(snapshot), waits or _figures(snapshot), *faults]))
+
+
+def _figures(snapshot: Snapshot) -> str:
     link, decision = snapshot.link, snapshot.decision
-    line = (
+    return (
         f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
         f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), "
-        f"admitted {format_share(round(decision.gate * _STEPS) / _STEPS)}, "
-        f"plan {decision.plan.generation}: {confirmed(confirmed=snapshot.confirmed, publishers=snapshot.managed)}"
+        f"allowed {format_share(round(decision.gate * _STEPS) / _STEPS)}, "
+        f"plan {decision.plan.generation}: {who_confirmed(snapshot)}"
     )
-    _, fault = interface_fault(snapshot) or (None, "")
-    # Judged at each turn only while nothing is planned: a judgement reads every topic.
-    unplanned = None if snapshot.managed else judge(snapshot)
-    if unplanned is not None and unplanned.verdict.condition in _WAITS:
-        line = unplanned.verdict.phrase
-    faults = _faults(snapshot) if unplanned is None else unplanned.faults
-    return "; ".join(said for said in (fault, line, *(finding.phrase for finding in faults)) if said)

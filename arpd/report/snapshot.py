@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.plan import Decision
+    from arpd.report.conditions import Condition
     from arpd.report.events import Event
-    from arpd.report.other_traffic import OtherRates
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,8 +36,8 @@ class Totals:
     reports : peer reports received
     reloads_by_result : configuration reloads (``ok``, ``failed``)
     changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
-    events_by_kind : lines of the decision log, by `arpd.report.events.EventKind`
-    durations : of ticks, solves and swaps
+    events_by_kind : lines of the decision log, by their kind
+    durations : of ticks and solves
     """
 
     ticks: int = 0
@@ -77,9 +77,9 @@ class Snapshot:
     config_loaded_at_s : wall clock when the configuration in force was read (s)
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan
+    since_s : what each condition that holds is about, and since when, on the monotonic clock (s)
     lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     events : the last of the decision log, oldest first
-    other_traffic : what topics, probes and reports do not explain, None while unknown
     """
 
     version: str
@@ -99,12 +99,18 @@ class Snapshot:
     keys_awaiting_restart: tuple[str, ...] = ()
     has_interface: bool = True
     confirmed: int = 0
+    since_s: Mapping[Condition, tuple[str, float]] = field(default_factory=lambda: MappingProxyType({}))
     lease_s: float = 0.0
     events: tuple[Event, ...] = ()
-    other_traffic: OtherRates | None = None
 
     @property
     def managed(self) -> int:
         """Number of live publishers that the plan in force covers."""
         planned = self.decision.plan.topics
         return sum(publisher.topic in planned for publisher in self.observation.publishers)
+
+    @property
+    def paced_only(self) -> int:
+        """Number of managed publishers that refuse new QoS for good."""
+        planned = self.decision.plan.topics
+        return sum(p.topic in planned and p.refusal_reason.is_lasting for p in self.observation.publishers)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from arpd.model.link import CapacityKind
 from arpd.model.quantities import format_rate
 from arpd.model.settings import AUTO
+from arpd.report.conditions import Condition
 from arpd.report.wording import count, listed
 
 if TYPE_CHECKING:
     from arpd.model.relay import RelaySummary
     from arpd.report.snapshot import Snapshot
 
-_REPORTS_WITHIN_S = 5.0  # a live peer reports every second or two
 _LIST = "arpd topics lists what there is"
 
 
@@ -47,7 +48,17 @@ def topics(snapshot: Snapshot) -> str:
 
 def is_reported(snapshot: Snapshot) -> bool:
     """Return whether a peer reports."""
-    return any(age_s < _REPORTS_WITHIN_S for age_s in snapshot.observation.peer_ages_s.values())
+    return any(age_s < Condition.PEER_LOST.holds_s for age_s in snapshot.observation.peer_ages_s.values())
+
+
+def lost_for_s(snapshot: Snapshot) -> float | None:
+    """Return for how long a peer that reported once has been silent (s), None where none did or none is needed."""
+    if snapshot.link.kind is CapacityKind.CONFIGURED:
+        return None
+    if ages_s := snapshot.observation.peer_ages_s:
+        return min(ages_s.values())
+    # A peer that is forgotten is still lost.
+    return math.inf if Condition.PEER_LOST in snapshot.since_s else None
 
 
 def peer(snapshot: Snapshot) -> str:

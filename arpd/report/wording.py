@@ -13,7 +13,7 @@ MOST_TEXT = 600  # characters
 _MOST_NAME = 64
 _MOST_NAMED = 3
 
-AT_FLOORS = "no topic sends more than its floor"
+AT_FLOORS = "no topic sends more than its minimum rate"
 PACED_ONLY = "rate only"  # of a publisher that refuses new QoS for good
 
 

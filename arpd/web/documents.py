@@ -6,12 +6,13 @@ import asyncio
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from prometheus_client import generate_latest
 
-from arpd.report.history import history_head, history_topics
-from arpd.report.status import API_VERSION, status_head, status_topics
+from arpd.web.api.history import history_json
+from arpd.web.api.part import API_VERSION
+from arpd.web.api.status import status_json
 
 if TYPE_CHECKING:
     import threading
@@ -112,12 +113,12 @@ class Documents:
         snapshot = self._snapshot()
         if snapshot is None:
             return None
-        return _JSON, _encoded(status_head(snapshot, now_s=self._clock()), status_topics(snapshot))
+        return _JSON, status_json(snapshot, now_s=self._clock())
 
     def _past(self) -> tuple[str, Iterable[bytes]]:
         samples, snapshot = self._history.samples, self._snapshot()
         events = () if snapshot is None else snapshot.events
-        return _JSON, _encoded(history_head(samples, events), history_topics(samples))
+        return _JSON, history_json(samples, events)
 
 
 class _Alone:
@@ -129,11 +130,3 @@ class _Alone:
     def collect(self) -> tuple[Metric]:
         """Return the family."""
         return (self._family,)
-
-
-def _encoded(head: dict[str, Any], topics: Iterable[dict[str, Any]]) -> Iterator[bytes]:
-    """Yield a document of which the topics come last, one by one."""
-    yield f'{json.dumps(head, allow_nan=False)[:-1]}, "topics": ['.encode()
-    for number, topic in enumerate(topics):
-        yield f"{', ' if number else ''}{json.dumps(topic, allow_nan=False)}".encode()
-    yield b"]}\n"

@@ -19,7 +19,8 @@ from arpd.model.interface import InterfaceState, state_of
 from arpd.model.link import CapacityKind, LinkState
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.relay.calls import FailureReason
-from arpd.report.events import EventKind
+from arpd.report.conditions import MESSAGE_IDS, Condition
+from arpd.report.situation import judge
 from arpd.report.topic_rows import topic_rows
 from arpd.web.families import Rows, counts, family, histogram, states
 from arpd.web.topic_metrics import topic_metrics
@@ -61,14 +62,6 @@ _LINK: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
         "arpd_link_foreign_bytes_per_second",
         "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity.",
         lambda s: s.link.cross_traffic_bytes_per_second,
-    ),
-    (
-        "arpd_link_other_bytes_per_second",
-        "Traffic of the last second beside topics, probes and reports: DDS discovery, calls, other programs.",
-        lambda s: (
-            s.other_traffic
-            and [({"direction": direction}, rate) for direction, rate in sorted(s.other_traffic._asdict().items())]
-        ),
     ),
     (
         "arpd_link_queue_delay_seconds",
@@ -226,7 +219,7 @@ _TOTALS: tuple[tuple[str, str, Callable[[Totals], _Value]], ...] = (
     ("arpd_ticks_late_total", "Ticks that began more than half a period late.", lambda t: t.ticks_late),
     ("arpd_probe_bytes_total", "Wire bytes of the probes.", lambda t: t.probe_bytes),
     ("arpd_peer_reports_total", "Reports of peers that arrived.", lambda t: t.reports),
-    ("arpd_events_total", "Lines of the decision log.", lambda t: counts("event", EventKind, t.events_by_kind)),
+    ("arpd_events_total", "Lines of the decision log.", lambda t: counts("event", MESSAGE_IDS, t.events_by_kind)),
     ("arpd_plans_total", "Plans made.", lambda t: counts("cause", _CAUSES, t.plans_by_cause)),
     (
         "arpd_refusals_total",
@@ -323,6 +316,7 @@ class SnapshotCollector(Collector):
     def _of(self, snapshot: Snapshot) -> Iterator[Metric]:
         age_s = max(0.0, self._clock() - snapshot.finished_at_s)
         yield family("arpd_snapshot_age_seconds", "Time since the last tick finished.", age_s)
+        yield _conditions(snapshot, now_s=self._clock())
         for name, text, read in (*_LINK, *_PLAN, *_DAEMON):
             yield family(name, text, read(snapshot))
         yield from _of_interface(snapshot)
@@ -346,6 +340,18 @@ def make_registry(
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
     return registry
+
+
+def _conditions(snapshot: Snapshot, *, now_s: float) -> Metric:
+    held = {finding.condition for finding in judge(snapshot, now_s=now_s).findings}
+    return family(
+        "arpd_condition",
+        "1 while arpd judges that the condition holds; wrong where somebody should look.",
+        [
+            ({"condition": each, "severity": each.severity, "wrong": str(each.is_wrong).lower()}, each in held)
+            for each in sorted(Condition)
+        ],
+    )
 
 
 def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from types import MappingProxyType
@@ -16,8 +17,9 @@ from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
-from arpd.report.other_traffic import OtherRates
+from arpd.report.situation import found_in
 from arpd.report.snapshot import Snapshot, Totals
+from arpd.web.api.status import status_json
 from tests.sample_publishers import publisher
 
 FINISHED_AT_S = 1000.0
@@ -259,14 +261,23 @@ def make_snapshot() -> Snapshot:
                 [0.0078125, 3.0],
                 late_s=[0.0, 0.0625],
                 solve_s=0.000125,
-                phases={"matching": [3.0625], "proving": [0.0625]},
             ),
         ),
         config_path="/etc/arpd/arpd.yaml",
         config_error="",
         confirmed=2,
-        other_traffic=OtherRates(transmit=6144.0, receive=2048.0),
     )
+
+
+def held(snapshot, *, for_s=60.0):
+    """Return the snapshot as it is when all that holds has held for so long (s)."""
+    since_s = {found.condition: (found.about, FINISHED_AT_S - for_s) for found in found_in(snapshot)}
+    return replace(snapshot, since_s=since_s)
+
+
+def status_of(snapshot, **options):
+    """Return the status document of a snapshot."""
+    return json.loads(b"".join(status_json(snapshot, **options)))
 
 
 def changed(**parts):

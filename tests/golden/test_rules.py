@@ -11,7 +11,7 @@ import yaml
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from arpd.report.events import EventKind
+from arpd.report.conditions import MESSAGE_IDS, Condition
 from arpd.web.metrics import make_registry
 
 REPO = Path(__file__).parents[2]
@@ -75,22 +75,24 @@ def test_every_alert_is_seen_to_fire_and_to_clear():
 
 
 def test_every_alert_says_what_it_is_and_where_its_runbook_is():
-    """Each alert has a severity, a summary that names the robot, a description and a runbook."""
+    """Each has a severity and a summary that names the robot; each alert and each wrong condition has a runbook."""
     sections = set(re.findall(r"^### (\w+)$", (ETC / "RUNBOOKS.md").read_text(), flags=re.MULTILINE))
+    conditions = {condition for condition in Condition if condition.is_wrong}
     for rule in rules(ALERTING):
-        annotations = rule["annotations"]
-        assert rule["labels"]["severity"] in ("critical", "warning", "info"), rule
+        annotations, is_ours = rule["annotations"], rule["alert"] != "ArpdCondition"
+        assert rule["labels"]["severity"] in ("critical", "warning") or not is_ours, rule
         assert set(annotations) == {"summary", "description", "runbook"}, rule
         assert annotations["summary"].startswith("{{ $labels.instance }}: "), rule
-        assert annotations["runbook"] == f"etc/prometheus/RUNBOOKS.md#{rule['alert'].lower()}"
-    assert sections == {rule["alert"] for rule in rules(ALERTING)}
+        section = rule["alert"].lower() if is_ours else "{{ $labels.condition }}"
+        assert annotations["runbook"] == f"etc/prometheus/RUNBOOKS.md#{section}"
+    assert sections == {rule["alert"] for rule in rules(ALERTING)} - {"ArpdCondition"} | conditions
 
 
 def test_the_runbooks_name_what_there_is():
     """The metrics, events and configuration keys in the runbooks exist."""
     text = (ETC / "RUNBOOKS.md").read_text()
     assert set(re.findall(r"\barpd_[a-z_]+", text)) <= {name.removesuffix("_bucket") for name in exposed()}
-    assert set(re.findall(r"ARPD_EVENT=(\w+)", text)) <= set(EventKind)
+    assert set(re.findall(r"ARPD_EVENT=(\w+)", text)) <= set(MESSAGE_IDS)
     keys = set(re.findall(r"`((?:link|program|governor|http)\.[a-z_]+)`", text))
     document = yaml.safe_load((REPO / "etc/arpd/arpd.yaml").read_text())
     assert len(keys) >= 5

@@ -6,9 +6,8 @@ import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from arpd.report.status import status_document
 from arpd.sim.demo import demo_topics
-from tests.golden.sample import FINISHED_AT_S, changed
+from tests.golden.sample import FINISHED_AT_S, changed, held, status_of
 from tests.sample_publishers import publisher
 
 _COLUMNS = ("available", "budget", "level", "delivery_rate", "foreign")
@@ -58,9 +57,9 @@ def serving(body, code=200, *, history=None):
         server.server_close()
 
 
-def document(*, now_s=FINISHED_AT_S + 0.05, is_ready=True, **parts):
+def document(*, now_s=FINISHED_AT_S + 0.05, is_ready=True, held_s=0.0, **parts):
     """Return the status of a daemon that copes with a slow link, with other values in its parts."""
-    return status_document(changed(**parts), now_s=now_s, is_ready=is_ready)
+    return status_of(held(changed(**parts), for_s=held_s), now_s=now_s, is_ready=is_ready)
 
 
 def demo_robot():

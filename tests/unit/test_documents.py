@@ -9,6 +9,8 @@ from urllib.parse import unquote
 
 import pytest
 
+from arpd.report.conditions import MESSAGE_IDS, Condition, Happening
+
 REPO = Path(__file__).resolve().parents[2]
 FOLDERS = ("arpd", "docs", "etc", "scripts", "systemd", "tests")
 DOCUMENTS = sorted([*REPO.glob("*.md"), *(path for folder in FOLDERS for path in (REPO / folder).rglob("*.md"))])
@@ -121,10 +123,15 @@ def test_every_documented_metric_is_exposed():
             assert all(f'{label}="' in sample for sample in samples), metric
 
 
-def test_every_event_is_documented():
-    """The table of events has each counted kind and each MESSAGE_ID of the catalog."""
-    rows = table(documented("docs/events.md"), "## The events")
-    counted = re.findall(r'^arpd_events_total\{event="(\w+)"', documented("tests/golden/exposition.txt"), re.MULTILINE)
-    explained = re.findall(r"^-- ([0-9a-f]{32})$", documented("systemd/arpd.catalog"), re.MULTILINE)
-    assert sorted(kind.strip("`") for kind, _, _ in rows) == sorted(counted)
-    assert sorted(number.strip("`") for _, _, number in rows) == sorted(explained)
+def test_every_condition_and_event_is_documented():
+    """The table has each row of the code with its words, weight, waiting time and MESSAGE_ID."""
+    rows = {row[0].strip("`"): row[1:] for row in table(documented("docs/operating.md"), "## Conditions and events")}
+    assert list(rows) == [*Condition, *Happening]
+    for condition in Condition:
+        headline, _, severity, after, number = rows[condition]
+        assert headline == condition.headline
+        assert severity == f"{condition.severity}{', wrong' if condition.is_wrong else ''}"
+        assert after == (f"{condition.holds_s:g} s" if condition.holds_s else "at once")
+        assert number.strip("`") == condition.message_id
+    for happening in Happening:
+        assert rows[happening][-1].strip("`") == MESSAGE_IDS[happening]

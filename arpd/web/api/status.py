@@ -1,20 +1,61 @@
-"""The document of ``/api/v1/status``."""
+"""The document of ``/api/v1/status``: the last snapshot as JSON."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from arpd.model.allocation import AllocationStatus, Binding
-from arpd.model.interface import InterfaceState
-from arpd.model.link import CapacityKind, LinkState
+from arpd.model.interface import InterfaceState, state_of
 from arpd.model.settings import OnLost
-from arpd.report.events import Severity
-from arpd.report.situation import Condition
-from arpd.report.status import MOST_EVENTS
+from arpd.report.conditions import Condition, Severity
+from arpd.report.situation import judge
+from arpd.report.topic_rows import topic_rows
 from arpd.web.api.endpoints import Topic
-from arpd.web.api.part import Amount, Count, Event, Part, Ratio
+from arpd.web.api.observed import Counters, Daemons, Graph, Link, Memory, Peer, Relay, Rmw
+from arpd.web.api.part import (
+    API_VERSION,
+    Age,
+    Amount,
+    Count,
+    Counts,
+    Event,
+    Measured,
+    MeasuredRatio,
+    Part,
+    Ratio,
+    Time,
+    of,
+    with_topics,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from arpd.model.probing import ClockOffset
+    from arpd.report.situation import Situation
+    from arpd.report.snapshot import Snapshot
+    from arpd.report.topic_rows import TopicRow
+
+MOST_EVENTS = 50
+
+
+def _number_of(values: Any) -> Any:
+    return len(values) if isinstance(values, Mapping) else values
+
+
+def _nested(solves: Mapping[Any, Any]) -> Mapping[str, Any]:
+    """Return counts by back end and outcome as counts by outcome, by back end."""
+    nested: dict[str, Any] = {}
+    for key, count in sorted(solves.items()):
+        if isinstance(key, str):
+            nested[key] = count
+        else:
+            nested.setdefault(key[0], {})[key[1]] = count
+    return nested
 
 
 class Finding(Part):
@@ -22,178 +63,27 @@ class Finding(Part):
 
     condition: Condition
     """What holds, by name."""
-    severity: Severity
+    severity: Severity = of("condition.severity")
     """Its weight: error where arpd cannot cope."""
-    headline: str
+    headline: str = of("condition.headline")
     """A few words that stay the same while the condition does."""
     text: str
     """One sentence, for the verdict: is the link the problem, what did arpd decide, why, and does it help."""
-    wrong: bool
+    wrong: bool = of("condition.is_wrong")
     """Whether somebody should look: arpd status exits 1."""
-
-
-class Counters(Part):
-    """Counters of the interface, which never fall while the daemon runs; null while it is gone."""
-
-    interface: str
-    """Name of the interface."""
-    up: bool
-    """State of the interface."""
-    receive_bytes: Count
-    """Bytes received."""
-    transmit_bytes: Count
-    """Bytes sent."""
-    receive_packets: Count
-    """Packets received."""
-    transmit_packets: Count
-    """Packets sent."""
-    transmit_dropped_packets: Count
-    """Packets dropped on the way out."""
-    backlog_bytes: Count | None
-    """Bytes that wait in the interface's queue; null if the kernel does not tell."""
-
-
-class Link(Part):
-    """Estimate of the link."""
-
-    capacity_bytes_per_second: Amount | None
-    """Capacity of the whole link (bytes/s on the wire)."""
-    foreign_bytes_per_second: Amount | None
-    """Cross traffic, which arpd's topics and probes do not explain (bytes/s on the wire)."""
-    available_bytes_per_second: Amount | None
-    """Capacity left for arpd's topics (bytes/s on the wire)."""
-    kind: CapacityKind
-    """Evidence behind the capacity, best first."""
-    state: LinkState
-    """State of the link; app_limited means that the traffic does not fill it."""
-    app_limited: bool
-    """True while the traffic is too small to show the capacity."""
-    queue_delay_seconds: Amount | None
-    """One-way delay from robot to peer above its recent minimum (s)."""
-    delivery_rate_bytes_per_second: Amount | None
-    """Rate at which the peer received bytes recently (bytes/s on the wire)."""
-    packet_overhead_seconds: Amount | None
-    """Link time that each packet costs beyond its bytes (s)."""
-    loss_ratio: Ratio | None
-    """Share of recent probe packets that never arrived, 0 to 1; null if too few were sent."""
-    return_delay_seconds: Amount | None
-    """Delay of the peer's reports above its recent minimum, which commands wait, too (s); null without a peer."""
-    radio_bytes_per_second: Amount | None
-    """Bit rate at which the radio transmits (bytes/s); null without a radio or its answer."""
-    age_seconds: Amount | None
-    """Time since the evidence behind the capacity (s)."""
-    evidence: str
-    """Reason of the last change of the estimate, in words."""
-    events: dict[str, Count]
-    """Changes of the estimate by rule, and outages, since the start."""
-
-
-class Peer(Part):
-    """One peer."""
-
-    peer: str
-    """Name of the peer."""
-    report_age_seconds: Amount | None
-    """Time since the peer's last report (s)."""
-    clock_offset_seconds: float | None
-    """The peer's clock less this host's (s), above 0 ahead; null if no probe of the last 30 s was answered."""
-    clock_uncertainty_seconds: Amount | None
-    """Most error of clock_offset_seconds (s): half the shortest round trip of the last 30 s."""
-
-
-class Memory(Part):
-    """Memory of the robot computer."""
-
-    total_bytes: Count
-    """Total memory (bytes)."""
-    available_bytes: Count
-    """Memory available without swapping (bytes)."""
-
-
-class Graph(Part):
-    """Topics in the ROS graph that cross the link, managed by arpd or not."""
-
-    sensing_topics: Count
-    """Topics from the robot."""
-    actuation_topics: Count
-    """Topics to the robot."""
-
-
-class Rmw(Part):
-    """Middleware of ROS; null without ROS."""
-
-    name: str
-    """RMW identifier of the middleware."""
-    swaps: bool
-    """True if arpd can swap writers on this middleware."""
-    refusal: str
-    """Why arpd only paces publishers; empty if it can swap writers."""
-
-
-class Daemons(Part):
-    """Other arpd daemons in the ROS domain."""
-
-    others: list[str]
-    """Hosts of the other daemons."""
-    standing_by_for: str
-    """Host of the active daemon while this one stands by; empty if this one is active."""
-
-
-class RelayDirection(Part):
-    """Topics of one direction."""
-
-    offered: Count
-    """Topics that the one side may send."""
-    wanted: Count
-    """Those that the other side reads."""
-    refused: dict[str, str]
-    """Topics and services that an end refuses to carry, with the reason; at most a hundred."""
-
-
-class Relay(Part):
-    """Relay with two ends, as its end on the robot tells it; null without one, and while that end is silent."""
-
-    other_host: str
-    """Host of the end on the base computer; empty while it was never heard."""
-    fault: str
-    """Why that end's messages are not understood; empty if they are."""
-    to_base: RelayDirection
-    """Topics from the robot to the base computer."""
-    to_robot: RelayDirection
-    """Topics from the base computer to the robot."""
-    received: Count
-    """Samples that the robot's end received and wrote."""
-    doubled: Count
-    """Samples that it received a second time."""
-    unknown: Count
-    """Samples of writers that it does not know."""
-    outdated: Count
-    """Samples that an outage delayed until a newer one of their source had come."""
-    link_bytes: Count
-    """What both ends' chunks took of the link, headers and acknowledgements included."""
-    incomplete: Count
-    """Samples of groups that it dropped, because their set was never complete."""
-    calls_failed: dict[str, Count]
-    """Calls from the robot's nodes that had no answer, by reason."""
-    strangers: list[str]
-    """Nodes in the link domain that are not arpd's; the first three."""
-    types_differ: dict[str, str]
-    """Topics whose type differs between the sides, with both types."""
-    reachable: bool
-    """True if the end on the base computer spoke in the last 3.5 s."""
 
 
 class Price(Part):
     """Price of the link, from which every publisher computes its rate; null while no topic shares the link."""
 
-    share_per_weight: Amount | None
+    share_per_weight: Measured
     """Share of link time that a topic of weight 1 gets; null = as much as it wants."""
     capacity_bytes_per_second: Amount
     """Capacity by which publishers turn bytes into link time (bytes/s)."""
-    packet_overhead_seconds: Amount
+    packet_overhead_seconds: Amount = of("packet_overhead_s")
     """Link time of a packet beyond its bytes (s)."""
     yielding_weight: Amount
-    """Topics of less weight have no floor now; those of this weight keep a part of it."""
+    """Topics of less weight have no minimum rate now; those of this weight keep a part of it."""
     kept_floor: Ratio
     """That part, 0 to 1."""
 
@@ -201,15 +91,15 @@ class Price(Part):
 class Plan(Part):
     """The plan in force."""
 
-    generation: Count
+    generation: Count = of("decision.plan.generation")
     """Number of the plan, which grows with every new plan; 0 = no plan."""
-    reason: str
+    reason: str = of("decision.reason")
     """Why the last tick changed or kept the plan, in words."""
-    refusals: list[str]
+    refusals: list[str] = of("decision.refusals")
     """Reasons, such as dwell, for which the last tick did not make a plan or swap that is due."""
-    topics: Count
+    topics: Annotated[Count, BeforeValidator(_number_of)] = of("decision.plan.topics")
     """Topics in the plan."""
-    publishers: Count
+    publishers: Count = of("managed")
     """Live publishers of the plan."""
     confirmed: Count
     """Publishers whose announcement matches the plan."""
@@ -234,16 +124,16 @@ class Allocation(Part):
     """The program's answer in the last tick."""
 
     status: AllocationStatus
-    """Result: whether all floors and reserves fit."""
+    """Result: whether all minimum rates and reserves fit."""
     binding: Binding
     """Constraint to relax first."""
-    capacity_bytes_per_second: Amount | None
+    capacity_bytes_per_second: Measured
     """Budget: what the topics may use now (bytes/s)."""
     degradation: str
-    """Floors and reserves that do not fit, in words; empty if all fit."""
+    """Minimum rates and reserves that do not fit, in words; empty if all fit."""
     backend: str
     """Back end that answered, such as osqp or closed_form."""
-    solve_seconds: Amount | None
+    solve_seconds: Measured = of("solve_s")
     """Duration of the solve (s)."""
     uniform: Uniform | None
 
@@ -266,15 +156,15 @@ class Totals(Part):
     """Ticks that raised an error."""
     ticks_late: Count
     """Ticks that began more than half a period late."""
-    solves: dict[str, dict[str, Count]]
+    solves: Annotated[dict[str, dict[str, Count]], BeforeValidator(_nested)] = of("solves_by_outcome")
     """Solver runs by back end, then by outcome (solved, failed, disagreed)."""
     cross_check_disagreements: Count
     """Answers of the back end that missed the budget; the closed form answered instead."""
-    levels: dict[str, Count]
+    levels: Counts = of("plans_by_cause")
     """Plans made, by cause."""
-    refusals: dict[str, Count]
+    refusals: Counts = of("refusals_by_reason")
     """Plan changes that were wanted but not made, by reason."""
-    applies: dict[str, Count]
+    applies: Counts = of("applies_by_result")
     """Plans sent to nodes, by result."""
     probes: Count
     """Trains and pings sent over the link."""
@@ -282,18 +172,18 @@ class Totals(Part):
     """Wire bytes of the probes."""
     reports: Count
     """Peer reports received."""
-    reloads: dict[str, Count]
+    reloads: Counts = of("reloads_by_result")
     """Configuration reloads by result."""
-    events: dict[str, Count]
+    events: Counts = of("events_by_kind")
     """Lines of the decision log by event."""
 
 
 class Config(Part):
     """The configuration in force."""
 
-    path: str
+    path: str = of("config_path")
     """File of the configuration."""
-    error: str
+    error: str = of("config_error")
     """Why the last reload was refused; empty if it was not."""
 
 
@@ -304,46 +194,105 @@ class Status(Part):
     503 with api_version and ready only. SI base units, named by the key's ending.
     """
 
-    api_version: Literal["v1"]
+    api_version: Literal["v1"] = API_VERSION
     """Version of this document; other versions may lack keys."""
-    version: str
+    version: str = of("snapshot.version")
     """Version of arpd."""
-    ready: bool
+    ready: bool = of("is_ready")
     """True while the daemon governs."""
-    unix_time_seconds: float
+    unix_time_seconds: Time = of("snapshot.unix_time_s")
     """Wall clock at the end of the tick (Unix time, s)."""
-    age_seconds: Amount | None
+    age_seconds: Age = of("age_s")
     """Time since the end of the tick, by the daemon's own clock (s)."""
-    tick_seconds: float | None
+    tick_seconds: Measured = of("snapshot.tick_s")
     """Duration of the tick (s)."""
-    verdict: Finding
+    verdict: Finding = of("situation.verdict")
     """The condition of link and plan that matters most."""
-    faults: list[Finding]
+    faults: list[Finding] = of("situation.faults")
     """Faults beside the verdict, of ticks, configuration, relay, publishers and peers, the worst first."""
-    interface: str
+    interface: str = of("snapshot.interface")
     """Current name of the link interface."""
     interface_state: InterfaceState
     """State of the interface."""
-    interface_counters: Counters | None
-    link: Link
+    interface_counters: Counters | None = of("snapshot.observation.counters")
+    link: Link = of("snapshot")
     peers: list[Peer]
     """Peers heard in the last minute."""
-    memory: Memory
-    graph: Graph
+    memory: Memory = of("snapshot.observation.memory")
+    graph: Graph = of("snapshot.observation")
     rmw: Rmw | None
-    daemons: Daemons
-    relay: Relay | None
-    gate: Ratio | None
-    """Part of the traffic above the floors that the link's budget admits, 0 to 1; 1 while no topic is slowed."""
-    price: Price | None
-    level_bytes_per_second: Amount | None
+    daemons: Daemons = of("snapshot.observation")
+    relay: Relay | None = of("snapshot.observation.relay")
+    gate: MeasuredRatio = of("snapshot.decision.gate")
+    """Part of the traffic above the minimum rates that the link's budget allows, 0 to 1; 1 while no topic is slowed."""
+    price: Price | None = of("snapshot.decision.price")
+    level_bytes_per_second: Measured = of("snapshot.decision.plan.level_bytes_per_second")
     """Lasting budget that the plan in force was made for (bytes/s on the wire)."""
-    plan: Plan
-    allocation: Allocation
+    plan: Plan = of("snapshot")
+    allocation: Allocation = of("snapshot.allocation")
     lease: Lease
-    topics: list[Topic]
+    topics: list[Topic] = Field(default=[])
     """Publishers that have announced themselves, sorted by topic and node."""
-    totals: Totals
+    totals: Totals = of("snapshot.totals")
     events: Annotated[list[Event], Field(max_length=MOST_EVENTS)]
     """The last lines of the decision log, oldest first."""
-    config: Config
+    config: Config = of("snapshot")
+
+
+class _Heard(NamedTuple):
+    peer: str
+    report_age_seconds: float
+    clock: ClockOffset | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _View:
+    """A snapshot as the document shows it."""
+
+    snapshot: Snapshot
+    rows: Sequence[TopicRow]
+    situation: Situation
+    is_ready: bool
+    age_s: float | None
+
+    @property
+    def interface_state(self) -> InterfaceState:
+        return state_of(self.snapshot.observation.counters)
+
+    @property
+    def peers(self) -> list[_Heard]:
+        observation = self.snapshot.observation
+        ages_s = sorted(observation.peer_ages_s.items())
+        return [_Heard(peer, age_s, observation.peer_clocks.get(peer)) for peer, age_s in ages_s]
+
+    @property
+    def rmw(self) -> Any:
+        return self.snapshot.observation if self.snapshot.observation.rmw else None
+
+    @property
+    def lease(self) -> Lease:
+        lease_s = self.snapshot.lease_s
+        return Lease(on_lost=OnLost.BASELINE if lease_s else OnLost.KEEP, after_seconds=lease_s or None)
+
+    @property
+    def events(self) -> Any:
+        return self.snapshot.events[-MOST_EVENTS:]
+
+
+def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float | None = None) -> Iterator[bytes]:
+    """Yield the whole snapshot as a JSON document, the topics one by one, because each takes a while.
+
+    Parameters
+    ----------
+    is_ready : True while the daemon governs
+    now_s : monotonic clock (s), for the age of the snapshot; with None the age is null
+    """
+    rows = topic_rows(snapshot)
+    view = _View(
+        snapshot=snapshot,
+        rows=rows,
+        situation=judge(snapshot, rows=rows, now_s=now_s),
+        is_ready=is_ready,
+        age_s=None if now_s is None else max(0.0, now_s - snapshot.finished_at_s),
+    )
+    yield from with_topics(Status.model_validate(view), (Topic.model_validate(row) for row in rows))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from scripts.netns.simlink import SimLink
 
 # They must fire while every packet is lost; the outage lasts until they do.
-OUTAGE_ALERTS = ("ArpdLinkDown", "ArpdPeerLost")
+OUTAGE_CONDITIONS = ("outage", "peer_lost")
 PROMETHEUS_ETC = REPO / "etc" / "prometheus"
 _PROMETHEUS_PORT = 9090
 _TRICKLE = 10.0  # bytes/s; a bucket of one frame still fits into the kernel's 275 s
@@ -47,7 +47,7 @@ class RealRun:
     prometheus_url : Prometheus's HTTP server
     moments : Unix times at which the phases began, by name (s): start, steady, slow, outage, outage_end,
         recovered. arpd's own state is outage for its first 10 s; then it gives up the peer.
-    outage_alerts : the firing alerts at the end of the outage, by name
+    outage_alerts : the firing alerts at the end of the outage, by condition
     """
 
     world: World
@@ -168,18 +168,21 @@ def _play(run: RealRun) -> None:
 
     _cut(link)
     run.begin("outage")
-    for alert in OUTAGE_ALERTS:
-        run.eventually(f"{alert} fires in the outage", lambda alert=alert: run.query(_firing(alert)))
+    for condition in OUTAGE_CONDITIONS:
+        fires = _firing(condition)
+        run.eventually(f"{condition} fires in the outage", lambda fires=fires: run.query(fires))
     # Longer than alerts keep firing, so that an alert that ends before the outage is visible.
-    lasting = f"count_over_time({_firing('ArpdPeerLost')}[1m]) > 11"
+    lasting = f"count_over_time({_firing('peer_lost')}[1m]) > 11"
     run.eventually("the outage lasts", lambda: run.query(lasting))
     run.outage_alerts = {
-        alert["labels"]["alertname"]: alert for alert in run.ask("alerts")["alerts"] if alert["state"] == "firing"
+        alert["labels"]["condition"]: alert
+        for alert in run.ask("alerts")["alerts"]
+        if alert["state"] == "firing" and alert["labels"]["alertname"] == "ArpdCondition"
     }
     link.set_loss(0.0)
     link.set_rate(FAST)
     run.begin("outage_end")
-    run.eventually("the alerts of the outage clear", lambda: not run.query(_firing("|".join(OUTAGE_ALERTS))))
+    run.eventually("the alerts of the outage clear", lambda: not run.query(_firing("|".join(OUTAGE_CONDITIONS))))
     run.eventually("a plan for the fast link is confirmed", lambda: _level(run) > 1.3 * SLOW and _is_confirmed(run))
     run.begin("recovered")
 
@@ -190,8 +193,8 @@ def _cut(link: SimLink) -> None:
     link.set_rate(_TRICKLE)
 
 
-def _firing(alerts: str) -> str:
-    return f'ALERTS{{alertname=~"{alerts}", alertstate="firing"}}'
+def _firing(conditions: str) -> str:
+    return f'ALERTS{{alertname="ArpdCondition", condition=~"{conditions}", alertstate="firing"}}'
 
 
 def _is_confirmed(run: RealRun) -> bool:

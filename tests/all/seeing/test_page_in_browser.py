@@ -12,7 +12,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from arpd.model.settings import HttpSettings
-from arpd.report.events import Event, EventKind, Severity
+from arpd.report.conditions import Condition, Happening, Severity
+from arpd.report.events import Event
 from arpd.report.history import History
 from arpd.web.server import HttpServer
 from tests.all.seeing.browser import PHONE, chromium, visit
@@ -66,11 +67,11 @@ def browser():
 @pytest.fixture
 def daemon(sample_snapshot):
     events = tuple(
-        Event(number=n, unix_time_s=1.7e9 - 90 + n, kind=kind, severity=severity, text=text)
+        Event(number=n, at_s=910.0 + n, unix_time_s=1.7e9 - 90 + n, kind=kind, severity=severity, text=text)
         for n, kind, severity, text in (
-            (1, EventKind.PLAN, Severity.WARNING, "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"),
-            (2, EventKind.OUTAGE, Severity.ERROR, "the link carries nothing"),
-            (3, EventKind.RECOVERED, Severity.INFO, "the link carries again"),
+            (1, Happening.PLAN, Severity.WARNING, "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"),
+            (2, Condition.OUTAGE, Severity.ERROR, "the link carries nothing"),
+            (3, Condition.OUTAGE, Severity.INFO, "the link carries again"),
         )
     )
     running = Daemon(replace(sample_snapshot, events=events))

@@ -21,7 +21,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from scripts.bench.report import REPO
 from scripts.netns.simlink import available
 from tests.all.seeing.browser import chromium, visit
-from tests.all.seeing.real_run import PROMETHEUS_ETC, real_run
+from tests.all.seeing.real_run import OUTAGE_CONDITIONS, PROMETHEUS_ETC, real_run
 
 CAN, WHY = available()
 pytestmark = [
@@ -63,17 +63,19 @@ def test_the_daemon_ran_throughout(run):
 
 
 def test_the_alerts_fire_in_the_outage_and_clear_after_it(run):
-    """ArpdLinkDown and ArpdPeerLost fire from within the outage to its end, and not after it."""
-    for name in ("ArpdLinkDown", "ArpdPeerLost"):
+    """The outage and the lost peer raise alerts from within the outage on, and none after it."""
+    for name in OUTAGE_CONDITIONS:
         ((labels, points),) = run.query_range(
-            f'ALERTS{{alertname="{name}",alertstate="firing"}}', run.moments["start"], time.time()
+            f'ALERTS{{alertname="ArpdCondition",condition="{name}",alertstate="firing"}}',
+            run.moments["start"],
+            time.time(),
         )
         assert points[0][0] > run.moments["outage"]
         assert labels["severity"] == "critical"
         sent = run.outage_alerts[name]  # at its end, which is later than arpd's own outage state
         assert sent["annotations"]["summary"].startswith("127.0.0.1:9464: ")
         assert "error expanding" not in str(sent), sent
-    assert not run.query('ALERTS{alertname=~"ArpdLinkDown|ArpdPeerLost"}')
+    assert not run.query(f'ALERTS{{condition=~"{"|".join(OUTAGE_CONDITIONS)}"}}')
 
 
 def rules_of(name):

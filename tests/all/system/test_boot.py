@@ -20,8 +20,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
 
-from arpd.host.journal import MESSAGE_IDS
-from arpd.report.events import EventKind
+from arpd.report.conditions import MESSAGE_IDS, Happening
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns import simlink
 from scripts.netns.namespaces import NETNS_DIR
@@ -286,7 +285,7 @@ def test_the_journal_has_the_decision_log_as_fields(running):
     """`journalctl ARPD_EVENT=plan` finds plans with their cause, -x explains them, and all three units use fields."""
     plans = running.entries(running.robot, "ARPD_EVENT=plan", "_SYSTEMD_UNIT=arpd.service")
     assert plans
-    assert {entry["MESSAGE_ID"] for entry in plans} == {MESSAGE_IDS[EventKind.PLAN]}
+    assert {entry["MESSAGE_ID"] for entry in plans} == {MESSAGE_IDS[Happening.PLAN]}
     assert {entry["_TRANSPORT"] for entry in plans} == {"journal"}
     for entry in plans:
         assert entry["SYSLOG_IDENTIFIER"] == "arpd"

@@ -10,7 +10,7 @@ from functools import partial
 import pytest
 
 from arpd.model.settings import Backend
-from arpd.report.status import status_document
+from tests.golden.sample import status_of
 
 MBIT = 125_000.0  # bytes
 SMALL = """\
@@ -144,7 +144,7 @@ def test_a_saved_status_says_what_topics_publish(allocation, config, status):
 def test_a_real_status_document_is_understood(allocation, config, tmp_path, sample_snapshot):
     """The command reads what the daemon serves."""
     path = tmp_path / "robot.json"
-    path.write_text(json.dumps(status_document(sample_snapshot)))
+    path.write_text(json.dumps(status_of(sample_snapshot)))
     _, topics = allocation("--config", config("{}"), "--status", path, "--capacity", "5mbit")
     crossing = {p.topic for p in sample_snapshot.observation.publishers if p.direction != "local"}
     assert set(topics) == {p.topic for p in sample_snapshot.observation.publishers if p.topic in crossing}

@@ -48,13 +48,16 @@ def test_all_is_well_exits_0(status):
         (document(observation={"counters": None}), "The link is down: wlan0 is gone"),
         (document(link={"state": LinkState.OUTAGE}), "The link carries nothing"),
         (document(config_error="a.yaml:1:1: x: y; z"), "Reload refused: a.yaml:1:1: x: y; z"),
-        (document(observation={"is_relay_silent": True}), "The relay on the robot is silent"),
-        (document(observation={"relay": RelaySummary(other_host="base")}), "The relay's ends do not meet"),
+        (document(held_s=12.0, observation={"is_relay_silent": True}), "The relay on the robot is silent"),
         (
-            document(observation={"relay": RelaySummary(is_reachable=True, fault="it speaks version 2")}),
-            "The relay's ends do not meet: the base computer's end is not understood: it speaks version 2",
+            document(held_s=12.0, observation={"relay": RelaySummary(other_host="base")}),
+            "The relay cannot reach its other end",
         ),
-        (document(allocation={"status": AllocationStatus.DEGRADED}), "Not everything asked for fits"),
+        (
+            document(held_s=12.0, observation={"relay": RelaySummary(is_reachable=True, fault="it speaks version 2")}),
+            "The relay cannot reach its other end: the base computer's end is not understood: it speaks version 2",
+        ),
+        (document(held_s=12.0, allocation={"status": AllocationStatus.DEGRADED}), "The minimum rates do not fit"),
     ],
 )
 def test_what_is_wrong_exits_1_and_is_said(status, answered, said):

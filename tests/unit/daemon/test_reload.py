@@ -280,7 +280,7 @@ def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
         assert f"reload refused: {path}" in daemon.status_line()
         assert daemon.snapshot.totals.reloads_by_result == {"failed": refused}
         assert caplog.records[-1].message == daemon.snapshot.config_error
-        assert daemon.snapshot.events[-1].kind == "reload_failed"
+        assert daemon.snapshot.events[-1].kind == "reload_refused"
     path.unlink()
     path.write_text(json.dumps(changed("on_stop")))
     assert daemon.reload(lambda: load_settings(path, interfaces=None))

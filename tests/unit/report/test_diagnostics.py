@@ -9,7 +9,7 @@ import pytest
 from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
 from arpd.report.diagnostics import Level, diagnose
-from tests.golden.sample import FINISHED_AT_S
+from tests.golden.sample import FINISHED_AT_S, held
 from tests.golden.sample import changed as sample
 
 
@@ -20,7 +20,7 @@ def calm(**parts):
         for each in sample().observation.publishers
     )
     parts["observation"] = {"publishers": publishers, **parts.get("observation", {})}
-    return sample(**parts)
+    return held(sample(confirmed=3, **parts))
 
 
 def statuses(snapshot, *, after_s=0.0):
@@ -40,7 +40,7 @@ def statuses(snapshot, *, after_s=0.0):
             "rate reserve 0 % left",
         ),
         (calm(observation={"active_daemon": "robot-2"}), "plan", Level.WARN, "Standing by"),
-        (calm(config_error="a.yaml:1:1: x"), "configuration", Level.ERROR, "Reload refused: a.yaml:1:1: x"),
+        (calm(config_error="a.yaml:1:1: x"), "configuration", Level.WARN, "Reload refused: a.yaml:1:1: x"),
         (calm(keys_awaiting_restart=("http.port",)), "configuration", Level.WARN, "http.port"),
     ],
 )

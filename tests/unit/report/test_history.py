@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
-from arpd.report.history import MOST_TOPICS, SPAN_S, History, history_document
+from arpd.report.history import MOST_TOPICS, SPAN_S, History
+from arpd.web.api.history import history_json
 from tests.sample_publishers import publisher
 
 
@@ -13,6 +15,10 @@ def at(snapshot, t_s, **observed):
     """Return the snapshot at another time, with other observations."""
     observation = replace(snapshot.observation, **observed)
     return replace(snapshot, finished_at_s=t_s, unix_time_s=1.7e9 + t_s, observation=observation)
+
+
+def history_document(samples, events):
+    return json.loads(b"".join(history_json(samples, events)))
 
 
 def columns(history, topic):

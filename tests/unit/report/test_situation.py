@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,23 +12,20 @@ import pytest
 
 import arpd.web
 from arpd.model.allocation import AllocationStatus
-from arpd.model.link import LinkState
+from arpd.model.link import CapacityKind, LinkState
 from arpd.model.plan import QosPlan
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.report.events import Event, EventKind, Severity
-from arpd.report.situation import STALE_AFTER_S, Condition, judge, status_line
-from tests.golden.sample import FINISHED_AT_S, changed
+from arpd.model.settings import LinkSettings, RelaySettings, RelayTopic, Settings, TopicSettings
+from arpd.report.conditions import Condition, Severity
+from arpd.report.situation import judge, since_when, status_line
+from tests.golden.sample import FINISHED_AT_S, changed, held
 
 NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
 CALM = {"link": {"loss_ratio": 0.0}}
 
 
-def events(*told):
-    """Return events: kind, and how long before the snapshot (s)."""
-    return tuple(
-        Event(number=n, unix_time_s=1.7e9 - ago_s, kind=kind, severity=Severity.INFO, text="")
-        for n, (kind, ago_s) in enumerate(told, start=1)
-    )
+def findings(snapshot, **options):
+    return {found.condition: found.text for found in judge(snapshot, **options).findings}
 
 
 def test_the_verdict_answers_the_four_questions():
@@ -43,71 +41,115 @@ def test_the_verdict_answers_the_four_questions():
 @pytest.mark.parametrize(
     ("change", "condition", "words"),
     [
-        ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its floor"),
+        ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its minimum rate"),
         ({"observation": {"counters": None}}, Condition.INTERFACE_DOWN, "wlan0 is gone"),
-        ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_ABSENT, "link.interface"),
+        ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_DOWN, "link.interface"),
         ({"observation": {"active_daemon": "robot-2"}}, Condition.STANDING_BY, "on robot-2"),
-        ({"link": {"state": LinkState.DRAINING}}, Condition.OVERFULL, "12.5 ms of queue"),
-        ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.OVERFULL, "unknown length"),
-        ({"allocation": {"capacity_bytes_per_second": 1e5}}, Condition.OVERFULL, "may use 800 kbit/s of 4 Mbit/s"),
-        ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.OVERFULL, "next to nothing of 4 Mbit/s"),
-        ({"allocation": {"status": AllocationStatus.DEGRADED, "degradation": "20 % left"}}, Condition.DEGRADED, "20 %"),
+        ({"link": {"state": LinkState.DRAINING}}, Condition.QUEUE, "12.5 ms of queue"),
+        ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.QUEUE, "unknown length"),
+        ({"allocation": {"capacity_bytes_per_second": 1e5}}, Condition.QUEUE, "may use 800 kbit/s of 4 Mbit/s"),
+        ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
+        (
+            {"allocation": {"status": AllocationStatus.DEGRADED, "degradation": "20 % left"}},
+            Condition.MINIMUM_RATES,
+            "20 %",
+        ),
         # A budget that follows a link that rises has no queue to drain.
         ({"link": {"capacity_bytes_per_second": 5e6}}, Condition.LIMITED, "of 40 Mbit/s"),
-        ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_GOVERN, "AdaptivePublisher"),
+        ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_MANAGE, "AdaptivePublisher"),
         ({"decision": {"plan": NO_PLAN}}, Condition.MEASURING, "3 topics"),
     ],
 )
 def test_the_condition_that_matters_most_is_the_verdict(change, condition, words):
     """Each has a headline that does not change with numbers, and a sentence with the reason."""
-    verdict = judge(changed(**change)).verdict
+    verdict = judge(held(changed(**change))).verdict
     assert verdict.condition is condition
     assert verdict.text.startswith(f"{condition.headline}: ")
     assert words in verdict.text
 
 
 def test_faults_stand_beside_the_verdict_the_worst_first():
-    """Ticks, configuration, confirmation and keys that need a restart; the first three are wrong."""
-    faulty = changed(
-        config_error="a.yaml:1:1: x", keys_awaiting_restart=("http.port",), events=events((EventKind.PLAN, 20.0))
+    """Ticks, configuration, relay, confirmation and keys that need a restart; all but the last are wrong."""
+    ways = {
+        "to_base": RelayTopics(refused={"/scan": "two types"}),
+        "to_robot": RelayTopics(refused={"/cmd": "not let in"}),
+    }
+    relay = RelaySummary(is_reachable=False, other_host="base", **ways)
+    faulty = held(
+        changed(config_error="a.yaml:1:1: x", keys_awaiting_restart=("http.port",), observation={"relay": relay})
     )
-    faults = judge(faulty, now_s=FINISHED_AT_S + STALE_AFTER_S + 1.0).faults
+    faults = judge(faulty, now_s=FINISHED_AT_S + Condition.STALE.holds_s + 1.0).faults
     assert [fault.condition for fault in faults] == [
         Condition.STALE,
         Condition.RELOAD_REFUSED,
+        Condition.RELAY_CUT,
+        Condition.RELAY_REFUSES,
         Condition.UNCONFIRMED,
         Condition.RESTART_NEEDED,
+        Condition.POSTPONED,
     ]
-    assert [fault.condition.is_wrong for fault in faults] == [True, True, True, False]
+    assert [fault.condition.is_wrong for fault in faults] == [True, True, True, True, True, False, False]
     assert "the last one finished 4 s ago" in faults[0].text
-    assert all(number in faults[2].text for number in ("2 of 3 publishers", "20 s"))
-    assert judge(changed(), now_s=FINISHED_AT_S + STALE_AFTER_S).faults == ()
+    assert "/cmd: not let in; also /scan" in faults[3].text
+    assert all(number in faults[4].text for number in ("2 of 3 publishers", "1 min"))
+    assert judge(changed(), now_s=FINISHED_AT_S + Condition.STALE.holds_s).faults == ()
 
 
-@pytest.mark.parametrize(
-    ("told", "is_fault"),
-    [
-        ((), False),
-        (((EventKind.PLAN, 10),), False),
-        (((EventKind.MEMORY, 20),), True),
-        (((EventKind.PLAN, 20), (EventKind.TOPIC_FOUND, 2)), False),
-        (((EventKind.OUTAGE, 20),), True),
-        (((EventKind.PLAN, 30), (EventKind.CONFIRMED, 20)), False),
-    ],
-)
-def test_a_plan_that_is_long_unconfirmed_is_a_fault(told, is_fault):
-    """The decision log tells for how long; without events there is no fault."""
-    conditions = {fault.condition for fault in judge(changed(events=events(*told))).faults}
-    assert conditions == ({Condition.UNCONFIRMED} if is_fault else set())
+@pytest.mark.parametrize("condition", [each for each in Condition if each.holds_s and each is not Condition.STALE])
+def test_a_condition_counts_once_it_has_held_for_its_time(condition):
+    """The monotonic clock counts, whatever somebody sets the wall clock to."""
+    cut = RelaySummary(is_reachable=False)
+    snapshot = changed(
+        allocation={"status": AllocationStatus.DEGRADED},
+        observation={
+            "relay": cut,
+            "is_relay_silent": True,
+            "peer_ages_s": {"base": 0.0} if condition is Condition.PEER_LOST else {},
+        },
+    )
+    for second in range(20):
+        ages_s = {peer: float(second) for peer in snapshot.observation.peer_ages_s}
+        snapshot = replace(
+            snapshot,
+            finished_at_s=FINISHED_AT_S + second,
+            unix_time_s=1.7e9 + (second % 3) * 1e8,
+            observation=replace(snapshot.observation, peer_ages_s=ages_s),
+        )
+        snapshot = replace(snapshot, since_s=since_when(snapshot))
+        assert (condition in findings(snapshot)) is (second >= condition.holds_s)
 
 
-def test_topics_that_the_relay_refuses_are_a_fault():
-    """The sentence has each topic, and one reason."""
-    refused = {"to_base": {"/scan": "two types"}, "to_robot": {"/cmd": "not let in"}}
-    ways = {way: RelayTopics(refused=topics) for way, topics in refused.items()}
-    (fault,) = judge(changed(observation={"relay": RelaySummary(is_reachable=True, **ways)})).faults
-    assert (fault.condition, fault.condition.is_wrong) == (Condition.RELAY_REFUSES, True)
-    assert "/cmd: not let in; also /scan" in fault.text
+def test_a_node_that_later_refuses_is_found_although_all_had_confirmed():
+    """Every time that publishers fall behind the plan counts anew, and so does every plan."""
+    snapshot, told = changed(), []
+    for second in range(60):
+        confirmed = 2 if second >= 20 else 3
+        generation = 3 if second < 45 else 4
+        decision = replace(snapshot.decision, plan=replace(snapshot.decision.plan, generation=generation))
+        snapshot = replace(
+            snapshot,
+            finished_at_s=FINISHED_AT_S + second,
+            confirmed=confirmed,
+            decision=decision,
+            since_s=snapshot.since_s,
+        )
+        snapshot = replace(snapshot, since_s=since_when(snapshot))
+        told += [second] if Condition.UNCONFIRMED in findings(snapshot) else []
+    assert told == [*range(35, 45)]
+
+
+def test_a_peer_that_was_there_is_missed_until_one_reports():
+    """The world forgets it after a minute, arpd does not; a robot that never had one misses none."""
+    lost = changed(observation={"peer_ages_s": {"base": 11.0}})
+    lost = replace(lost, since_s=since_when(lost))
+    forgotten = replace(lost, observation=replace(lost.observation, peer_ages_s={}))
+    forgotten = replace(forgotten, since_s=since_when(forgotten))
+    for snapshot in (lost, forgotten):
+        assert Condition.PEER_LOST in findings(snapshot)
+        assert Condition.WITHOUT_PEER not in findings(held(snapshot))
+    back = replace(forgotten, observation=replace(lost.observation, peer_ages_s={"base": 0.5}))
+    assert Condition.PEER_LOST not in findings(back)
+    assert Condition.PEER_LOST not in findings(changed(observation={"peer_ages_s": {}}))
 
 
 def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
@@ -124,4 +166,70 @@ def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
 def test_the_page_calls_a_snapshot_stale_at_the_same_age():
     """The browser cannot import the threshold, so it repeats it."""
     script = (Path(arpd.web.__file__).parent / "assets" / "page.js").read_text()
-    assert re.findall(r"STALE_S = ([\d.]+)", script) == [f"{STALE_AFTER_S:g}"]
+    assert re.findall(r"STALE_S = ([\d.]+)", script) == [f"{Condition.STALE.holds_s:g}"]
+
+
+# -- what arpd waits for
+
+ONE_END = Settings(relay=RelaySettings(topics=(RelayTopic(name="/scan"),)))
+TWO_ENDS = Settings(relay=RelaySettings(link_domain=77, robot="10.0.0.1"))
+NAMED = Settings(topics=(TopicSettings(name="/chatter"),))
+
+
+def starting(settings=None, **observation):
+    """Return a snapshot without publishers, relay and peers, in domain 7."""
+    return changed(
+        observation={"publishers": (), "relay": None, "peer_ages_s": {}, "domain": 7, **observation},
+        settings=settings or Settings(),
+    )
+
+
+def of_relay(**fields):
+    return RelaySummary(**{"other_host": "laptop", "is_reachable": True, **fields})
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "words"),
+    [
+        (starting(), ("AdaptivePublisher", "ROS domain 7", "arpd topics")),
+        (starting(NAMED), ("/chatter", "ROS domain 7", "start its node")),
+        (starting(ONE_END), ("/link/scan", "arpd-relay")),
+        (starting(TWO_ENDS), ("both ends",)),
+        (starting(TWO_ENDS, relay=of_relay(is_reachable=False)), ("both ends",)),
+        (starting(TWO_ENDS, relay=of_relay()), ("ROS_DOMAIN_ID",)),
+        (starting(TWO_ENDS, relay=of_relay(to_base=RelayTopics(offered=3))), ("3 topics", "start a reader")),
+        (starting(TWO_ENDS, relay=of_relay(to_robot=RelayTopics(offered=3, wanted=1))), ("carry 1 topic",)),
+    ],
+    ids=["nothing", "named", "one end", "relay unknown", "other end", "no topics", "no readers", "begins"],
+)
+def test_without_publishers_the_verdict_names_the_next_step(snapshot, words):
+    """The configuration and the relay tell who is missing; systemd's line says the same."""
+    verdict = judge(snapshot).verdict
+    assert verdict.condition is Condition.NOTHING_TO_MANAGE
+    assert all(word in verdict.text for word in words), verdict.text
+    assert verdict.phrase in status_line(snapshot)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, ("systemctl enable --now arpd-peer", "ROS domain 7", "auto")),
+        ({"observation": {"peers": 1}}, ("no report arrives",)),
+        ({"link": {"kind": CapacityKind.CONFIGURED}}, ("link.initial_capacity",)),
+        (
+            {
+                "link": {"kind": CapacityKind.CONFIGURED},
+                "settings": Settings(link=LinkSettings(capacity_bytes_per_second=1e6)),
+            },
+            ("link.capacity",),
+        ),
+        ({"link": {"kind": CapacityKind.LOCAL}}, ("queue",)),
+        ({"link": {"kind": CapacityKind.RADIO}}, ("radio",)),
+    ],
+)
+def test_without_a_peer_all_is_well_but_a_finding_says_what_is_missing(change, words):
+    """It names how the capacity is known, and the unit to start."""
+    observation = {"peer_ages_s": {}, "domain": 7, "peers": 0, **change.pop("observation", {})}
+    found = findings(held(changed(observation=observation, **change)))
+    assert not Condition.WITHOUT_PEER.is_wrong
+    assert all(word in found[Condition.WITHOUT_PEER] for word in words), found

@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from arpd.report.events import Event, EventKind, Severity
+from arpd.report.conditions import Happening, Severity
+from arpd.report.events import Event
 from arpd.report.history import History
-from arpd.report.status import status_document
+from tests.golden.sample import status_of
 from tests.unit.web_world import running
 
 WEB = Path(__file__).parents[3] / "arpd" / "web"
@@ -125,8 +126,8 @@ class _Places(HTMLParser):
 
 def test_every_place_of_the_page_is_in_the_document(sample_snapshot):
     """Each path of page.html exists in a full document."""
-    told = Event(number=1, unix_time_s=1.7e9, kind=EventKind.PLAN, severity=Severity.INFO, text="a plan")
-    document = status_document(replace(sample_snapshot, config_error="line 3", events=(told,)), now_s=1000.25)
+    told = Event(number=1, at_s=1000.0, unix_time_s=1.7e9, kind=Happening.PLAN, severity=Severity.INFO, text="a plan")
+    document = status_of(replace(sample_snapshot, config_error="line 3", events=(told,)), now_s=1000.25)
     places = _Places()
     places.feed((WEB / "assets/page.html").read_text())
     assert len(places.paths) > 60

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import socket
 import threading
 from dataclasses import replace
@@ -13,10 +12,10 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 
 from arpd.model.settings import HttpSettings
-from arpd.report.status import status_document
 from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
 from arpd.web.server import HttpServer
+from tests.golden.sample import status_of
 from tests.unit.web_world import running
 from tests.waiting import eventually
 
@@ -90,7 +89,7 @@ def test_a_publisher_announced_twice_does_not_break_the_scrape(sample_snapshot):
 
 def test_the_status_document_says_infinite_as_null(sample_snapshot):
     """The document is strict JSON; unpaced rates, infinite deadlines and what no plan has are null."""
-    document = json.loads(json.dumps(status_document(sample_snapshot), allow_nan=False))
+    document = status_of(sample_snapshot)
     topics = {topic["topic"]: topic for topic in document["topics"]}
     assert list(topics) == ["/camera/image", "/cmd_vel", "/diagnostics", "/imu"]
     assert (topics["/imu"]["planned"]["rate_hz"], topics["/imu"]["planned"]["deadline_ns"]) == (None, None)
