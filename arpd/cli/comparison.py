@@ -64,7 +64,7 @@ def show_comparison(asked: Asked, comparison: Comparison) -> None:
         "LATENCY P99, MS": lambda topic: _milliseconds(topic.latency_p99_s),
         "AGE P99, MS": lambda topic: _milliseconds(topic.age_p99_s),
     }
-    found = events(comparison.arpd)
+    found = events(comparison["arpd"])
     what_it_did = [("", "WHAT ARPD DID", "CAPACITY"), *map(_event_cells, found[:_MOST_EVENTS])]
     show(*map(Text, _head(asked, comparison)), "", _overall(_summaries(asked, comparison)))
     show("", _topics(asked, comparison, rates), "", _topics(asked, comparison, delays))
@@ -100,19 +100,17 @@ def comparison_document(asked: Asked, comparison: Comparison) -> dict[str, Any]:
         "ways": {
             way: {
                 "summary": {name: _value(figure) for name, figure in asdict(summary).items()},
-                "topics": [_topic_document(topic, asked.duration_s) for topic in comparison.ways[way].topics],
-                "course": _course(comparison.ways[way]),
+                "topics": [_topic_document(topic, asked.duration_s) for topic in comparison[way].topics],
+                "course": _course(comparison[way]),
             }
             for way, summary in _summaries(asked, comparison).items()
         },
-        "events": [asdict(event) for event in events(comparison.arpd)],
+        "events": [asdict(event) for event in events(comparison["arpd"])],
     }
 
 
 def _summaries(asked: Asked, comparison: Comparison) -> dict[str, Summary]:
-    return {
-        way: summarize(result, start_s=WARM_UP_S, end_s=asked.duration_s) for way, result in comparison.ways.items()
-    }
+    return {way: summarize(result, start_s=WARM_UP_S, end_s=asked.duration_s) for way, result in comparison.items()}
 
 
 def _topic_document(topic: TopicResult, duration_s: float) -> dict[str, Any]:
@@ -139,7 +137,7 @@ def _value(value: Any) -> Any:
 
 
 def _head(asked: Asked, comparison: Comparison) -> list[str]:
-    rates = [moment.truth_bytes_per_second for moment in comparison.arpd.moments]
+    rates = [moment.truth_bytes_per_second for moment in comparison["arpd"].moments]
     low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
     published = sum(topic.payload_bytes * topic.rate_hz for topic in asked.robot)
     robot = f"{count(len(asked.robot), 'topic')} with {format_rate(published)} of payload"
@@ -180,7 +178,7 @@ def _overall(summaries: dict[str, Summary]) -> FittedTable:
 
 def _topics(asked: Asked, comparison: Comparison, figures: dict[str, Callable[[TopicResult], str]]) -> FittedTable:
     """Lay out figures per topic over the whole run, three ways each."""
-    ways = comparison.ways
+    ways = comparison
     titles = [f"{figure if way == 'arpd' else ''}\n{way}" for figure in figures for way in ways]
     rows = [("TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles)]
     for topic, *results in zip(asked.robot, *(way.topics for way in ways.values()), strict=True):

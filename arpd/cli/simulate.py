@@ -44,8 +44,8 @@ ROS, no root, no waiting.
 
 The robot publishes the topics of the configuration (payload and source_rate_hz), to one reader each; with
 relay.link_domain the relay's two ends carry them. Without a configuration, or without such topics, it is the demo
-robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per change, the last one holds) and mahimahi's
-packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
+robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per change, the last one holds), rows of
+seconds and Mbit/s, and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
         epilog="""\
 examples:
   arpd simulate --config robot.yaml --trace walk.csv

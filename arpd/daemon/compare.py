@@ -12,7 +12,8 @@ from arpd.sim.baselines import Oracle
 from arpd.sim.result import percentile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from typing import TypeAlias
 
     from arpd.daemon.scenario import Moment, ScenarioResult
     from arpd.model.settings import Settings
@@ -20,21 +21,9 @@ if TYPE_CHECKING:
     from arpd.sim.robot import SimTopic
     from arpd.sim.schedule import RateSchedule
 
+    Comparison: TypeAlias = Mapping[str, ScenarioResult]  # by way
+
 WARM_UP_S = 10.0  # until the link is measured and the first plan applied; not part of any summary
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Comparison:
-    """Results of one scenario run three ways."""
-
-    arpd: ScenarioResult
-    without: ScenarioResult
-    oracle: ScenarioResult
-
-    @property
-    def ways(self) -> dict[str, ScenarioResult]:
-        """Results by name."""
-        return {"arpd": self.arpd, "without": self.without, "oracle": self.oracle}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -92,7 +81,7 @@ def compare(
     topics: tuple[SimTopic, ...],
     on_way: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Run the scenario three times.
+    """Run the scenario three times; return the results by way: ``arpd``, ``without`` and ``oracle``.
 
     Parameters
     ----------
@@ -100,25 +89,20 @@ def compare(
     schedule, duration_s, seed, model, topics : as in `arpd.daemon.scenario.run`
     on_way : called with the name of each way before it runs
     """
-
-    def one(way: str, *, managed: bool, oracle: bool = False) -> ScenarioResult:
+    found: dict[str, ScenarioResult] = {}
+    for way in ("arpd", "without", "oracle"):
         on_way(way)
-        return run(
+        found[way] = run(
             settings,
             schedule,
             duration_s,
             seed=seed,
-            managed=managed,
+            managed=way != "without",
             model=model,
             topics=topics,
-            make_estimator=Oracle if oracle else None,
+            make_estimator=Oracle if way == "oracle" else None,
         )
-
-    return Comparison(
-        arpd=one("arpd", managed=True),
-        without=one("without", managed=False),
-        oracle=one("oracle", managed=True, oracle=True),
-    )
+    return found
 
 
 def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summary:

@@ -117,7 +117,6 @@ def run(
     model: LinkModel | None = None,
     foreign: tuple[ForeignFlow, ...] = (),
     topics: tuple[SimTopic, ...] | None = None,
-    down: RateSchedule | None = None,
     into_peer: tuple[ForeignFlow, ...] = (),
     has_peer: bool = True,
     make_estimator: EstimatorMaker | None = None,
@@ -127,13 +126,12 @@ def run(
     Parameters
     ----------
     settings : configuration of arpd; unused without arpd
-    schedule : rate of the link over run time, from the robot
+    schedule : rate of the link over run time, each way
     seed : of phases, jitter and losses; the same seed gives the same result
     managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
     foreign : cross traffic from the robot
     topics : topics of the robot; the demo robot's by default
-    down : rate of the link over run time, to the robot; as from the robot by default
     into_peer : other traffic that the peer's interface receives without crossing this link
     has_peer : whether a peer receives probes and sends reports
     make_estimator : makes an estimator from a function that returns the truth; arpd's own by default
@@ -145,7 +143,6 @@ def run(
         model=model or LinkModel(),
         foreign=foreign,
         topics=demo_topics() if topics is None else topics,
-        down=down or schedule,
     )
     if not managed:
         return _plain(plant)
@@ -164,7 +161,6 @@ class _Plant:
         model: LinkModel,
         foreign: tuple[ForeignFlow, ...],
         topics: tuple[SimTopic, ...],
-        down: RateSchedule,
     ) -> None:
         self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
         self._service = Service(schedule, 0.0)
@@ -174,8 +170,10 @@ class _Plant:
         self.end_s = _RUN_STARTS_S + duration_s
         self._seed = seed
         self.up, self.down = (
-            SimulatedLink(self.timeline, rates, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}"))
-            for name, rates in (("up", schedule), ("down", down))
+            SimulatedLink(
+                self.timeline, schedule, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}")
+            )
+            for name in ("up", "down")
         )
         self._host = Loopback(self.timeline)
         for flow in foreign:

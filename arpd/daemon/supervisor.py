@@ -10,12 +10,12 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from arpd.daemon.tick import TICK_S, Daemon
 from arpd.host.notify import Notifier, Watchdog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from arpd.daemon.tick import Daemon
     from arpd.model.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -117,7 +117,7 @@ class Supervisor:
         self._is_ready = False
         self._status = ""
         self._failure = ""
-        self._said_turns = 0  # whole turns when the status was last made
+        self._said_counted = 0  # as in `Record`, when the status was last made
 
     def run(self) -> None:
         """Tick when a report wakes the loop or a period has passed."""
@@ -126,7 +126,7 @@ class Supervisor:
             self._follow_reloads()
             now_s = time.monotonic()
             late_s = max(0.0, now_s - next_s)
-            self._daemon.record.note_lateness(late_s, is_late=late_s > TICK_S / 2)
+            self._daemon.record.note_lateness(late_s)
             self._resting.clear()
             try:
                 self._daemon.tick(now_s)
@@ -163,7 +163,7 @@ class Supervisor:
     def _note_failure(self, error: Exception) -> None:
         self._daemon.record.note_failed_tick()
         if (failure := type(error).__name__) != self._failure:
-            self._failure, self._said_turns = failure, -1
+            self._failure, self._said_counted = failure, -1
             log.error("a tick failed; the publishers keep their plan", exc_info=error)
             self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
 
@@ -175,8 +175,8 @@ class Supervisor:
             self._is_ready = True
             self._notifier.ready()  # units that wait for the start find a daemon that has observed its world
         self._heartbeat.beat()
-        if (turns := self._daemon.record.turns) != self._said_turns:
-            self._said_turns = turns
+        if (counted := self._daemon.record.counted) != self._said_counted:
+            self._said_counted = counted
             self._say("; ".join(part for part in (self._daemon.status_line(), self._fault()) if part))
 
     def _say(self, status: str) -> None:

@@ -7,21 +7,22 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd import __version__
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
 from arpd.daemon.restore import restore
-from arpd.daemon.turns import Turns
 from arpd.estimate.estimator import Estimator
 from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
-from arpd.govern.progress import progress
+from arpd.govern.progress import Progress, progress
+from arpd.model.allocation import Allocation
+from arpd.model.plan import Decision
 from arpd.model.price import Price
 from arpd.report.situation import status_line
-from arpd.report.snapshot import Snapshot, Totals
+from arpd.report.snapshot import Snapshot
 from arpd.solve.program import Program
 from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_traffic
 
@@ -29,11 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from arpd.daemon.world import CapacityEstimator, World
-    from arpd.govern.progress import Progress
-    from arpd.model.allocation import Allocation, Topic
-    from arpd.model.link import LinkEstimate, LinkState
+    from arpd.model.allocation import Topic
+    from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
-    from arpd.model.plan import Decision
     from arpd.model.settings import Settings
     from arpd.report.events import Event
     from arpd.report.history import History
@@ -41,15 +40,27 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
-BUSY_TICK_S = 0.03  # while the link is well used, when a fall fills its queue within a few of these
-RESTING_TICK_S = 0.25  # while next to nothing crosses it
+_RESTING_TICK_S = 0.25  # while next to nothing crosses the link
+_LOOK_S = 0.03  # while the link is well used, when a fall fills its queue within a few of these
 _LATE_S = 0.005  # a thread wakes up late
 _WELL_USED = 0.5
+_PLAN_S = 0.45  # twice a second: ticks come every 0.1 s, and the nearest one plans
+_MOST_REST_S = 2.0  # planning that something else held up is no measure
+_RESTS = 30.0  # times its duration, so that a thousand topics leave most of a core to the robot
 _HEAR_S = 5.0  # time until every endpoint with a plan, and any other daemon, has been heard
 
 
+class Planned(NamedTuple):
+    """What the last tick that planned found: rows, their division, the decision, and how far its plan has come."""
+
+    topics: Sequence[Topic] = ()
+    allocation: Allocation = Allocation()
+    decision: Decision = Decision()
+    come: Progress = Progress(missing=frozenset(), confirmed=0)
+
+
 class Daemon:
-    """Runs the tick over a world; most ticks only follow the link, and two a second do everything (`Turns`).
+    """Runs the tick over a world.
 
     Parameters
     ----------
@@ -60,6 +71,10 @@ class Daemon:
     clock, wall_clock : monotonic and Unix time (s)
     estimator : estimates the capacity; `arpd.estimate.estimator.Estimator` by default
     tell : called with each event of the decision log
+
+    Attributes
+    ----------
+    interface : name of the link interface, now or last; as configured until it is found
     """
 
     def __init__(
@@ -74,33 +89,28 @@ class Daemon:
         estimator: CapacityEstimator | None = None,
         tell: Callable[[Event], None] = lambda _event: None,
     ) -> None:
+        self.interface = interface
+        self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
+        self.record = Record(tell=tell)
         self._world = world
-        self._interface = interface
-        self._has_interface = False  # whether it was ever there
         self._began_s: float | None = None  # when the world was first observed
+        self._has_interface = False  # whether it was ever there
         self._clock = clock
         self._wall_clock = wall_clock
         self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
-        self._program = Program(settings, clock=self._clock)
         self._budget = Budget()
+        self._program = Program(settings, clock=self._clock)
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
-        self._turns = Turns()
-        self._link: LinkEstimate | None = None
-        self._ticked_s = -math.inf  # the last tick that finished and was no glance
-        self._topics: Sequence[Topic] = ()  # of the last whole turn
-        self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
-        self.record = Record(tell=tell)
+        self._planned = Planned()
+        self._ticked_s = -math.inf  # when the last tick that finished began
+        self._planned_s, self._took_s = -math.inf, 0.0  # the same of the last that planned, and how long it took
+        self._facts: tuple[object, ...] = ()  # that it rests on
 
     @property
     def settings(self) -> Settings:
         """Configuration in force."""
         return self.configuration.settings
-
-    @property
-    def interface(self) -> str:
-        """Name of the link interface, now or last; as configured until it is found."""
-        return self._interface
 
     @property
     def snapshot(self) -> Snapshot | None:
@@ -110,10 +120,11 @@ class Daemon:
     @property
     def pause_s(self) -> float:
         """Most time until the next tick (s)."""
-        if (link := self._link) is None:
+        if self.snapshot is None:
             return TICK_S
+        link = self.snapshot.link
         is_busy = link.delivery_rate_bytes_per_second > _WELL_USED * link.capacity_bytes_per_second
-        return BUSY_TICK_S if is_busy else TICK_S
+        return _LOOK_S if is_busy else TICK_S
 
     @property
     def history(self) -> History:
@@ -121,195 +132,172 @@ class Daemon:
         return self.record.history
 
     def tick(self, now_s: float) -> Decision:
-        """Observe → estimate → price; at a whole turn observe → estimate → solve → govern → apply → report.
+        """Observe → estimate → price; twice a second, or on news, also solve → govern → apply → report.
 
-        Where the usual time has not passed a glance comes first, and a tick that would find nothing new ends there.
+        Before its time a tick is one look, and ends where that shows nothing new.
         """
-        if (snapshot := self.record.snapshot) is not None and self._may_rest(now_s):
-            return replace(snapshot.decision, level_changed=False, reason="")
-        began_s, self._ticked_s = self._clock(), -math.inf
-        observation = self._observe(now_s)
-        link = self._link = self._estimator.update(observation)
-        budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom, topics=self._topics)
-        facts = self._facts(observation, link)
-        if not self._turns.is_due(now_s, facts=facts, publishers=observation.publishers):
-            return self._follow(now_s, observation, link, budget)
-        traffic = measured_traffic(observation.publishers) if self._estimator.has_evidence else ()
-        topics = self._topics = rows_of_traffic(traffic, self.settings)
-        solve = partial(
-            self._program.solve,
-            topics=topics,
-            memory_budget_bytes=memory_budget_bytes(observation.memory, self.settings.program),
-            packet_overhead_s=link.available_packet_overhead_s,
-            crossing=_crossing(observation),
-        )
-        rates = solve(link.available_bytes_per_second, share=_share(budget, link))
-        # A history stands for a part of the link, so what lasts needs the capacity that lasts.
-        lasting = solve(self._budget.lasting_bytes_per_second)
-        decision = self._decide(now_s, observation, link.state, rates=rates, lasting=lasting, topics=topics)
-        come = progress(observation.publishers, decision.plan, lease_s=self.settings.lease_s)
-        if not observation.active_daemon:
-            self._send(now_s, decision.price, link, budget=budget, divided=rates)
-            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
-        self._report(
-            now_s,
-            observation=observation,
-            link=link,
-            allocation=rates,
-            decision=decision,
-            come=come,
-        )
-        self._turns.note(
-            now_s,
-            facts=facts,
-            publishers=observation.publishers,
-            took_s=self._clock() - began_s,
-            is_settled=not come.missing,
-        )
+        if self._may_end_at_a_look(now_s):
+            return replace(self._planned.decision, level_changed=False, reason="")
+        seen = self._observe(now_s)
+        link = self._estimator.update(seen)
+        budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom, topics=self._planned.topics)
+        is_planning = self._plan_is_due(now_s, self._news(seen, link))
+        if is_planning:
+            self._plan(now_s, seen, link, budget)
+        else:
+            self._follow(seen, link, budget)
+        if not seen.active_daemon:
+            self._send(now_s, link, budget)
+        self._note(now_s, seen, link)
+        if is_planning:
+            self._count(now_s, seen, link)
         self._ticked_s = now_s
-        return decision
+        return self._planned.decision
 
-    def _may_rest(self, now_s: float) -> bool:
-        """Return whether a glance shows nothing that is worth a tick before the usual time."""
-        is_resting = self._link is not None and self._link.is_resting
-        if now_s - self._ticked_s >= (RESTING_TICK_S if is_resting else TICK_S) - _LATE_S:
+    def _may_end_at_a_look(self, now_s: float) -> bool:
+        is_resting = self.snapshot is not None and self.snapshot.link.is_resting
+        if now_s - self._ticked_s >= (_RESTING_TICK_S if is_resting else TICK_S) - _LATE_S:
             return False
         glance = self._world.glance()
         return not glance.has_reports and not self._estimator.needs_look(now_s, glance.backlog_bytes)
 
-    def _facts(self, observation: Observation, link: LinkEstimate) -> tuple[object, ...]:
-        """Return what calls for a whole turn when it changes."""
-        publishers, interface = len(observation.publishers), self._interface if self._has_interface else ""
-        return link.state, self._estimator.has_evidence, publishers, observation.active_daemon, interface
-
-    def _follow(self, now_s: float, observation: Observation, link: LinkEstimate, budget: float) -> Decision:
-        """Let the price follow the link until the next whole turn; the plan in force stays."""
-        snapshot = self.record.snapshot
-        assert snapshot is not None, "the first tick is a whole turn"
-        decision, allocation = snapshot.decision, snapshot.allocation
-        if not observation.active_daemon:
-            price = self._program.price(
-                link.available_bytes_per_second,
-                self._topics,
-                packet_overhead_s=link.available_packet_overhead_s,
-                share=_share(budget, link),
-                crossing=_crossing(observation),
-            )
-            decision = replace(decision, price=price, level_changed=False, reason="")
-            allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
-            self._send(now_s, price, link, budget=budget, divided=snapshot.allocation)
-        finished_s = self._clock()
-        self.record.follow(
-            replace(
-                snapshot,
-                finished_at_s=finished_s,
-                unix_time_s=self._wall_clock(),
-                tick_s=finished_s - now_s,
-                observation=observation,
-                link=link,
-                decision=decision,
-                allocation=allocation,
-            )
-        )
-        self._ticked_s = now_s
-        return decision
-
     def _observe(self, now_s: float) -> Observation:
-        observation = self._world.observe(now_s)
+        seen = self._world.observe(now_s)
         if self._began_s is None:
             self._began_s = now_s
-        if observation.counters is not None:
-            self._interface, self._has_interface = observation.counters.interface, True
-        return observation
+        if seen.counters is not None:
+            self.interface, self._has_interface = seen.counters.interface, True
+        return seen
+
+    def _news(self, seen: Observation, link: LinkEstimate) -> tuple[object, ...]:
+        """Return what calls for a plan when it changes; while one is under way, all that nodes tell."""
+        told = seen.publishers if self._planned.come.missing else len(seen.publishers)
+        interface = self.interface if self._has_interface else ""
+        return link.state, self._estimator.has_evidence, told, seen.active_daemon, interface
+
+    def _plan_is_due(self, now_s: float, news: tuple[object, ...]) -> bool:
+        since_s = now_s - self._planned_s
+        is_time = since_s >= _PLAN_S or news != self._facts
+        return is_time and since_s >= min(_MOST_REST_S, _RESTS * self._took_s)
+
+    def _plan(self, now_s: float, seen: Observation, link: LinkEstimate, budget: float) -> None:
+        """Solve for the budget of this moment and for the lasting one, let the governor decide, and send its plan."""
+        traffic = measured_traffic(seen.publishers) if self._estimator.has_evidence else ()
+        topics = rows_of_traffic(traffic, self.settings)
+        solve = partial(
+            self._program.solve,
+            topics=topics,
+            memory_budget_bytes=memory_budget_bytes(seen.memory, self.settings.program),
+            packet_overhead_s=link.available_packet_overhead_s,
+            crossing=_crossing(seen),
+        )
+        rates = solve(link.available_bytes_per_second, share=_share(budget, link))
+        # A history stands for a part of the link, so what lasts needs the capacity that lasts.
+        lasting = solve(self._budget.lasting_bytes_per_second)
+        decision = self._decide(now_s, seen, link, rates=rates, lasting=lasting, topics=topics)
+        come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
+        if not seen.active_daemon:
+            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
+        self._planned = Planned(topics, rates, decision, come)
 
     def _decide(
         self,
         now_s: float,
-        observation: Observation,
-        state: LinkState,
+        seen: Observation,
+        link: LinkEstimate,
         *,
         rates: Allocation,
         lasting: Allocation,
         topics: Sequence[Topic],
     ) -> Decision:
-        if observation.active_daemon:
+        if seen.active_daemon:
             self._world.stand_by()
             return self._governor.stand_by()
         return self._governor.decide(
             now_s,
-            state=state,
+            state=link.state,
             rates=rates,
             lasting=lasting,
             topics=topics,
-            publishers=observation.publishers,
-            participants=max(1, observation.remote_participants),
+            publishers=seen.publishers,
+            participants=max(1, seen.remote_participants),
         )
 
-    def _send(
-        self, now_s: float, price: Price | None, link: LinkEstimate, *, budget: float, divided: Allocation
-    ) -> None:
+    def _follow(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
+        """Let the price follow the link, by the closed form; the plan in force stays."""
+        topics, allocation, decision, come = self._planned
+        price = decision.price
+        if not seen.active_daemon:
+            price = self._program.price(
+                link.available_bytes_per_second,
+                topics,
+                packet_overhead_s=link.available_packet_overhead_s,
+                share=_share(budget, link),
+                crossing=_crossing(seen),
+            )
+            allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
+        decision = replace(decision, price=price, level_changed=False, reason="")
+        self._planned = Planned(topics, allocation, decision, come)
+
+    def _send(self, now_s: float, link: LinkEstimate, budget: float) -> None:
         """Send the price where it is due, and the probes that the estimator wants."""
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
-        price = price or free
-        share = _share(budget, link)
-        spare = 0.0
+        price, share, spare = self._planned.decision.price or free, _share(budget, link), 0.0
         if math.isinf(price.share_per_weight):
-            spare = max(0.0, share - sum(topic.share for topic in divided.topics))
+            spare = max(0.0, share - sum(topic.share for topic in self._planned.allocation.topics))
         price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare)
         if self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
         for request in self._estimator.wanted_probes(now_s):
             self._world.probe(request)
 
-    def _report(
-        self,
-        now_s: float,
-        *,
-        observation: Observation,
-        link: LinkEstimate,
-        allocation: Allocation,
-        decision: Decision,
-        come: Progress,
-    ) -> None:
+    def _note(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:
         finished_s, configuration = self._clock(), self.configuration
-        picture = Snapshot(
-            version=__version__,
-            interface=self._interface,
-            has_interface=self._has_interface,
-            finished_at_s=finished_s,
-            unix_time_s=self._wall_clock(),
-            tick_s=finished_s - now_s,
-            observation=observation,
-            link=link,
-            allocation=allocation,
-            decision=decision,
-            totals=Totals(),
-            settings=self.settings,
-            config_path=configuration.path,
-            config_error=configuration.error,
-            confirmed=come.confirmed,
-            lease_s=self.settings.lease_s,
-            config_loaded_at_s=configuration.loaded_at_s,
-            keys_awaiting_restart=configuration.awaiting_restart,
+        self.record.note(
+            Snapshot(
+                version=__version__,
+                interface=self.interface,
+                has_interface=self._has_interface,
+                finished_at_s=finished_s,
+                unix_time_s=self._wall_clock(),
+                tick_s=finished_s - now_s,
+                observation=seen,
+                link=link,
+                allocation=self._planned.allocation,
+                decision=self._planned.decision,
+                totals=self.record.totals,
+                settings=self.settings,
+                config_path=configuration.path,
+                config_error=configuration.error,
+                confirmed=self._planned.come.confirmed,
+                lease_s=self.settings.lease_s,
+                config_loaded_at_s=configuration.loaded_at_s,
+                keys_awaiting_restart=configuration.awaiting_restart,
+                events=self.record.events,
+                since_s=self.record.since_s,
+            )
         )
-        self.record.add(
-            picture, world=self._world, program=self._program, governor=self._governor, configuration=configuration
+
+    def _count(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:
+        """Count what a tick that planned has done; after one that raised, the next plans again."""
+        self.record.count(
+            world=self._world, program=self._program, governor=self._governor, configuration=self.configuration
         )
+        self._planned_s, self._took_s, self._facts = now_s, self._clock() - now_s, self._news(seen, link)
 
     def reload(self, load: Callable[[], Settings]) -> bool:
         """Take a new configuration whole, or keep the old one whole; see `Configuration.reload`."""
-        self._turns.ask()
+        self._facts = ()
         return self.configuration.reload(load, take=self._take)
 
     def _take(self, fresh: Settings) -> None:
         """Bring settings into force everywhere, or nowhere."""
-        program = Program(fresh, clock=self._clock)
+        program = Program(fresh, clock=self._clock, outcomes=self._program.outcomes)
         try:
             self._reconfigure(fresh)
         except BaseException:
             self._reconfigure(self.settings)
             raise
-        self.record.keep_counts_of(self._program)
         self._program = program
 
     def _reconfigure(self, settings: Settings) -> None:
@@ -341,9 +329,9 @@ class Daemon:
         return status_line(self.snapshot)
 
 
-def _crossing(observation: Observation) -> int:
+def _crossing(seen: Observation) -> int:
     """Return the number of topics that cross the link, managed or not."""
-    return observation.sensing_topics + observation.actuation_topics
+    return seen.sensing_topics + seen.actuation_topics
 
 
 def _share(budget: float, link: LinkEstimate) -> float:

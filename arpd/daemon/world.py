@@ -28,7 +28,7 @@ class World(Protocol):
         """Send the price of the link to every publisher."""
 
     def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
-        """Send the plan to the nodes if some do not show it; called at every whole turn.
+        """Send the plan to the nodes if some do not show it; called twice a second.
 
         Parameters
         ----------
@@ -37,7 +37,7 @@ class World(Protocol):
         """
 
     def stand_by(self) -> None:
-        """Take back the plan that was sent, because another daemon drives the robot; called at every whole turn."""
+        """Take back the plan that was sent, because another daemon drives the robot; called twice a second."""
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""

@@ -131,10 +131,10 @@ class Allocation:
     solve_s : time the solution took (s)
     """
 
-    topics: tuple[TopicAllocation, ...]
-    status: AllocationStatus
-    binding: Binding
-    capacity_bytes_per_second: float
+    topics: tuple[TopicAllocation, ...] = ()
+    status: AllocationStatus = AllocationStatus.EMPTY
+    binding: Binding = Binding.NOTHING
+    capacity_bytes_per_second: float = 0.0
     degradation: str = ""
     price: Price | None = None
     uniform: Uniform | None = None

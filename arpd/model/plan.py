@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -55,11 +56,6 @@ class TopicPlan:
         """Rate that keeps the offered deadline, 0 without one (Hz)."""
         return NANOSECONDS_PER_SECOND / self.deadline_ns if self.deadline_ns else 0.0
 
-    @property
-    def terms(self) -> tuple[float, ...]:
-        """What the price needs besides the ceiling; no snapshot shows it."""
-        return self.min_rate_hz, self.weight, self.wire_bytes, self.packets
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QosPlan:
@@ -68,9 +64,9 @@ class QosPlan:
     ``level_bytes_per_second`` is the last lasting budget that all of its deadlines fitted.
     """
 
-    generation: int
-    topics: Mapping[str, TopicPlan]
-    level_bytes_per_second: float
+    generation: int = 0
+    topics: Mapping[str, TopicPlan] = field(default_factory=lambda: MappingProxyType({}))
+    level_bytes_per_second: float = 0.0
 
 
 class PlanAnswer(NamedTuple):
@@ -106,10 +102,10 @@ class Decision:
     refusals : reasons for which a plan that is due was refused
     """
 
-    gate: float
-    plan: QosPlan
-    level_changed: bool
-    reason: str
+    gate: float = 1.0
+    plan: QosPlan = field(default_factory=QosPlan)
+    level_changed: bool = False
+    reason: str = ""
     price: Price | None = None
     refusals: tuple[str, ...] = ()
 

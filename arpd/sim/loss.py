@@ -42,25 +42,23 @@ class GilbertElliott:
     Parameters
     ----------
     good_s, bad_s : mean duration of a good and of a bad state, > 0 (s)
-    bad_loss, good_loss : probability that a packet is lost in that state, 0..1
+    bad_loss : probability that a packet is lost in the bad state, 0..1; none is in the good one
     """
 
     good_s: float
     bad_s: float
     bad_loss: float = 1.0
-    good_loss: float = 0.0
 
     def __post_init__(self) -> None:
         for name, duration_s in (("good_s", self.good_s), ("bad_s", self.bad_s)):
             if not (math.isfinite(duration_s) and duration_s > 0.0):
                 raise ValueError(f"{name} {duration_s}: a mean duration must be above zero (s)")
         check_probability("bad_loss", self.bad_loss)
-        check_probability("good_loss", self.good_loss)
 
     @property
     def mean_loss(self) -> float:
         """Share of packets that are lost in the long run."""
-        return (self.good_s * self.good_loss + self.bad_s * self.bad_loss) / (self.good_s + self.bad_s)
+        return self.bad_s * self.bad_loss / (self.good_s + self.bad_s)
 
 
 def check_probability(name: str, value: float) -> None:
@@ -151,7 +149,7 @@ class _Bursts:
         while self._until_s <= at_s:
             self._is_bad = not self._is_bad
             self._until_s += self._random.expovariate(1.0 / (model.bad_s if self._is_bad else model.good_s))
-        return model.bad_loss if self._is_bad else model.good_loss
+        return model.bad_loss if self._is_bad else 0.0
 
 
 def either(one: float, other: float) -> float:

@@ -1,4 +1,4 @@
-"""Recorded links: rate over time, and loss if recorded, from CSV files and mahimahi traces."""
+"""Recorded links: rate over time, and loss if recorded, from CSV files, tables in Mbit/s, and mahimahi traces."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("time_s", "rate_bit_per_s", "loss")
 _HEADER = ",".join(_COLUMNS)
-_START = f"start with {_HEADER} or with a delivery in milliseconds"
+_BARE = ("time_s", "rate_mbit_per_s")  # of a table without a header
+_START = f"start with {_HEADER}, with a row of seconds and Mbit/s, or with a delivery in milliseconds"
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII)
 # Larger values belong to no link, and sums of bytes over time would lose their precision.
-_MOST_S, _MOST_BIT_PER_S = 1e7, 1e12
+_MOST_S = 1e7
+_MOST = {"time_s": _MOST_S, "rate_bit_per_s": 1e12, "rate_mbit_per_s": 1e5, "loss": 1.0}
 _DELIVERY_BYTES = 1500
 # A trace with a line per packet gives a rate per span. In 20 ms, 1 Mbit/s has 1.7 packets; arpd ignores shorter queues.
 _BIN_MS = 20
@@ -67,10 +69,13 @@ class LinkTrace:
 
 
 def read_trace(path: Path) -> LinkTrace:
-    """Read a trace of either kind; lines that start with ``#`` and blank lines are ignored.
+    """Read a trace of any kind; lines that start with ``#`` and blank lines are ignored.
 
     CSV: a header ``time_s,rate_bit_per_s`` or ``time_s,rate_bit_per_s,loss``, then one row per change, by ascending
     time, the first at 0. A rate of 0 carries nothing; the last row holds without end.
+
+    Table: rows of seconds and Mbit/s with blanks or a tab between, as recordings are published; the first row is the
+    start of the run.
 
     mahimahi: one line per delivery of 1500 bytes, each a whole number of milliseconds, never falling; after the last
     one the trace starts again. It becomes the mean rates of spans of 20 ms (the last may be shorter). Each span, and so
@@ -79,7 +84,7 @@ def read_trace(path: Path) -> LinkTrace:
     Raises
     ------
     TraceError
-        If the file cannot be read or is of neither kind; the message names the place and the way out.
+        If the file cannot be read or is of no kind; the message names the place and the way out.
     """
     try:
         text = path.read_bytes()
@@ -90,7 +95,11 @@ def read_trace(path: Path) -> LinkTrace:
     if re.fullmatch(r"[-+]?[0-9]+", first.strip(), re.ASCII):
         return _mahimahi(path.name, reader)
     if "," in first or first.strip() in _COLUMNS:
-        return _csv(path.name, reader)
+        lines = reader.lines()
+        return _table(path.name, reader, lines, _header(reader, *next(lines)), cell=r"[^,]+")
+    cells = [text for _, text in _cells(first, r"[^ \t]+")]
+    if len(cells) == len(_BARE) and all(map(_NUMBER.fullmatch, cells)):
+        return _table(path.name, reader, reader.lines(), _BARE, cell=r"[^ \t]+")
     column = len(first) - len(first.lstrip()) + 1
     raise reader.fault(number, column, f"{first.strip()!r} starts no trace", _START)
 
@@ -127,71 +136,62 @@ def _decoded(path: Path, text: bytes) -> str:
         raise TraceError(f"{path}:{line}:{column}: not UTF-8 text; save the trace as plain text") from None
 
 
-# -- CSV
+# -- tables
 
 
-def _csv(name: str, reader: _Reader) -> LinkTrace:
-    lines = reader.lines()
-    columns = _header(reader, *next(lines))
+def _header(reader: _Reader, number: int, line: str) -> Sequence[str]:
+    names = [cell for _, cell in _cells(line, r"[^,]+")]
+    if tuple(names) not in {_COLUMNS, _COLUMNS[:2]}:
+        raise reader.fault(number, 1, f"{line.strip()!r} is no header", f"write {_HEADER}")
+    return names
+
+
+def _table(
+    name: str, reader: _Reader, lines: Iterator[tuple[int, str]], columns: Sequence[str], *, cell: str
+) -> LinkTrace:
     rates: list[RateStep] = []
     losses: list[LossStep] = []
+    bit = 1e6 if columns is _BARE else 1.0
+    first_s = 0.0
     for number, line in lines:
-        cells = list(_cells(line))
+        cells = list(_cells(line, cell))
         if len(cells) != len(columns):
-            column = cells[len(columns)][0] if len(cells) > len(columns) else len(line) + 1
-            raise reader.fault(number, column, f"{len(cells)} values", f"write {len(columns)}: {','.join(columns)}")
-        values = [_value(reader, number, cell, what) for cell, what in zip(cells, columns, strict=True)]
-        start_s = values[0]
+            raise reader.fault(number, 1, f"{len(cells)} values", f"write {len(columns)}: {','.join(columns)}")
+        values = [_value(reader, number, each, what) for each, what in zip(cells, columns, strict=True)]
+        if columns is _BARE and not rates:
+            first_s = values[0]
+        start_s = values[0] - first_s
         if not rates and start_s != 0.0:
             raise reader.fault(number, cells[0][0], f"the first row is at {start_s:g} s", "start at 0")
         if rates and start_s <= rates[-1].start_s:
             raise reader.fault(
                 number,
                 cells[0][0],
-                f"{start_s:g} s comes after {rates[-1].start_s:g} s",
+                f"{values[0]:g} s comes after {rates[-1].start_s + first_s:g} s",
                 "sort the rows by time, one per moment",
             )
-        rates.append(RateStep(start_s=start_s, rate_bytes_per_second=values[1] / 8.0))
-        if len(columns) == len(_COLUMNS):
-            losses.append(LossStep(start_s=start_s, loss=values[2]))
+        rates.append(RateStep(start_s=start_s, rate_bytes_per_second=values[1] * bit / 8.0))
+        losses += [LossStep(start_s=start_s, loss=loss) for loss in values[2:]]
     if not rates:
-        number, line = reader.first()
-        raise reader.fault(number, len(line) + 1, "no row follows the header", "add one at 0 s")
+        number, _ = reader.first()
+        raise reader.fault(number, 1, "no row follows the header", "add one at 0 s")
     return LinkTrace(
         name=name, rates=RateSchedule(steps=tuple(rates)), losses=tuple(losses), duration_s=rates[-1].start_s
     )
 
 
-def _header(reader: _Reader, number: int, line: str) -> Sequence[str]:
-    cells = list(_cells(line))
-    for (column, cell), expected in zip(cells, _COLUMNS, strict=False):
-        if cell != expected:
-            raise reader.fault(number, column, f"{cell!r} where {expected!r} was expected", f"write {_HEADER}")
-    if len(cells) < len(_COLUMNS) - 1:
-        raise reader.fault(number, len(line) + 1, "the header has no rate", f"write {_HEADER}")
-    if len(cells) > len(_COLUMNS):
-        column, cell = cells[len(_COLUMNS)]
-        raise reader.fault(number, column, f"unknown column {cell!r}", f"write {_HEADER}")
-    return _COLUMNS[: len(cells)]
-
-
-def _cells(line: str) -> Iterator[tuple[int, str]]:
-    """Yield the cells of a row, each with its column."""
-    column = 1
-    for cell in line.split(","):
-        yield column + len(cell) - len(cell.lstrip()), cell.strip()
-        column += len(cell) + 1
+def _cells(line: str, cell: str) -> Iterator[tuple[int, str]]:
+    """Yield the cells of a row, each with its column; a pattern says what a cell is."""
+    for found in re.finditer(cell, line):
+        text = found.group()
+        yield found.start() + 1 + len(text) - len(text.lstrip()), text.strip()
 
 
 def _value(reader: _Reader, number: int, cell: tuple[int, str], what: str) -> float:
-    column, text = cell
-    most = {"time_s": _MOST_S, "rate_bit_per_s": _MOST_BIT_PER_S, "loss": 1.0}[what]
-    if not _NUMBER.fullmatch(text):
-        raise reader.fault(number, column, f"{what} {text!r} is not a number", f"write one from 0 to {most:g}")
-    value = float(text)
-    if not 0.0 <= value <= most:
-        raise reader.fault(number, column, f"{what} {text} is out of range", f"write a number from 0 to {most:g}")
-    return value
+    (column, text), most = cell, _MOST[what]
+    if not (_NUMBER.fullmatch(text) and 0.0 <= float(text) <= most):
+        raise reader.fault(number, column, f"{what} {text!r} is no such number", f"write one from 0 to {most:g}")
+    return float(text)
 
 
 # -- mahimahi

@@ -33,14 +33,11 @@ class Solver:
     Parameters
     ----------
     backend : back end to ask
-
-    Attributes
-    ----------
-    outcomes : (back end, ``solved`` | ``failed`` | ``disagreed``) → count
+    outcomes : (back end, ``solved`` | ``failed`` | ``disagreed``) → count; its own by default
     """
 
-    def __init__(self, backend: Backend) -> None:
-        self.outcomes: Counter[tuple[str, str]] = Counter()
+    def __init__(self, backend: Backend, outcomes: Counter[tuple[str, str]] | None = None) -> None:
+        self.outcomes: Counter[tuple[str, str]] = Counter() if outcomes is None else outcomes
         self._backend = backend
         self._fault = ""
         self._library: Any = None

@@ -51,6 +51,8 @@ class Yielding(NamedTuple):
 
     def words(self, floor: str, weights: Column, low: Column) -> list[str]:
         """Return what gives way, in words."""
+        if not self.weight:
+            return []
         classes = np.unique(weights[(low > 0.0) & (weights <= self.weight)]).tolist()
         return [f"{floor} of weight {w:g} {left(self.kept if w == self.weight else 0.0)}" for w in classes]
 

@@ -16,7 +16,8 @@ from arpd.solve.level import water_level
 from arpd.solve.link import Link, Rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections import Counter
+    from collections.abc import Callable, Sequence
 
     from arpd.model.allocation import Topic
     from arpd.model.price import Price
@@ -44,20 +45,26 @@ class Program:
     settings : policy and back end; headroom η and packet overhead t_ovh where nothing measured stands for them
     backend : back end for this program alone; None = the one in ``settings``
     clock : monotonic clock for ``Allocation.solve_s``, which stays 0 without one (s)
+    outcomes : counts to go on with; see `Solver`
     """
 
     def __init__(
-        self, settings: Settings, *, backend: Backend | None = None, clock: Callable[[], float] = lambda: 0.0
+        self,
+        settings: Settings,
+        *,
+        backend: Backend | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+        outcomes: Counter[tuple[str, str]] | None = None,
     ) -> None:
         self._settings = settings
-        self._solver = Solver(backend or settings.program.backend)
+        self._solver = Solver(backend or settings.program.backend, outcomes)
         self._clock = clock
         self._rows = Rows(())
 
     @property
-    def outcomes(self) -> Mapping[tuple[str, str], int]:
-        """Copy of the counts (back end, outcome) since this program was made; see `Solver`."""
-        return dict(self._solver.outcomes)
+    def outcomes(self) -> Counter[tuple[str, str]]:
+        """Counts by back end and outcome; see `Solver`."""
+        return self._solver.outcomes
 
     def solve(
         self,
@@ -91,12 +98,7 @@ class Program:
                 f"capacity {capacity!r} and memory {memory_bytes!r} must be ≥ 0, share {share!r} within 0..1"
             )
         if not topics:
-            return Allocation(
-                topics=(),
-                status=AllocationStatus.EMPTY,
-                binding=Binding.NOTHING,
-                capacity_bytes_per_second=capacity * share,
-            )
+            return Allocation(capacity_bytes_per_second=capacity * share)
         answered: set[Backend] = set()
 
         def find(weights: Column, low: Column, high: Column, budget: float) -> float:

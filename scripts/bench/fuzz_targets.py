@@ -286,7 +286,8 @@ def plan() -> Fuzzable:
             return
         insist(found.generation >= 0 and 0.0 <= found.lease_s < math.inf, f"a number and a time: {found}")
         insist(all(row.depth >= 1 and row.rate_hz >= 0 and row.deadline_ns >= 0 for row in rows), f"rows: {rows}")
-        insist(all(0.0 <= term < math.inf for row in rows for term in row.terms), f"finite terms: {rows}")
+        terms = [term for row in rows for term in (row.min_rate_hz, row.weight, row.wire_bytes, row.packets)]
+        insist(all(0.0 <= term < math.inf for term in terms), f"finite terms: {rows}")
 
     row = TopicPlan(
         rate_hz=math.inf, min_rate_hz=1.0, deadline_ns=10**9, depth=40, weight=1.5, wire_bytes=9.5, packets=1

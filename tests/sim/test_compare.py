@@ -38,7 +38,7 @@ def moment(t_s, **more):
 
 def test_all_three_ways_see_the_same_link_and_the_same_robot():
     """Link and application are the same three ways; without arpd it stands inside publish() now and then."""
-    runs = list(falling().ways.values())
+    runs = list(falling().values())
     for other in runs[1:]:
         assert [m.truth_bytes_per_second for m in other.moments] == [m.truth_bytes_per_second for m in runs[0].moments]
         assert [(topic.topic, topic.expected) for topic in other.topics] == [
@@ -48,15 +48,15 @@ def test_all_three_ways_see_the_same_link_and_the_same_robot():
 
 def test_the_oracle_is_a_bound_that_arpd_comes_near():
     """The oracle builds the shorter queue at a fall; later arpd delivers more than 85 % of its bytes."""
-    arpd, oracle = (summarize(falling().ways[way], start_s=10.0, end_s=30.0) for way in ("arpd", "oracle"))
+    arpd, oracle = (summarize(falling()[way], start_s=10.0, end_s=30.0) for way in ("arpd", "oracle"))
     assert oracle.queue_peak_s < arpd.queue_peak_s
-    settled = [summarize(falling().ways[way], start_s=22.0, end_s=30.0) for way in ("arpd", "oracle")]
+    settled = [summarize(falling()[way], start_s=22.0, end_s=30.0) for way in ("arpd", "oracle")]
     assert settled[0].goodput_bytes_per_second > 0.85 * settled[1].goodput_bytes_per_second
 
 
 def test_without_arpd_there_is_no_belief_no_plan_and_a_full_queue():
     """Without arpd there is no estimate, plan, swap or probe, and the queue fills."""
-    without = falling().without
+    without = falling()["without"]
     summary = summarize(without, start_s=10.0, end_s=30.0)
     assert summary.error_median is None
     assert summary.plans_per_minute == summary.swaps_per_minute == summary.measuring_share == 0.0

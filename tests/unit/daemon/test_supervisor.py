@@ -14,7 +14,6 @@ import pytest
 
 from arpd.daemon.run import stop
 from arpd.daemon.supervisor import Signals, Supervisor
-from arpd.daemon.tick import TICK_S
 from arpd.model.settings import OnStop, Settings
 from tests.waiting import PATIENCE_S, eventually
 
@@ -67,10 +66,10 @@ class Daemon:
         self.failed = 0
         self.ticked = 0
         self.record = self.configuration = self
-        self.pause_s = TICK_S
+        self.pause_s = 0.1
 
     @property
-    def turns(self):
+    def counted(self):
         return self.ticked
 
     def tick(self, _now_s):
@@ -91,7 +90,7 @@ class Daemon:
     def note_failed_tick(self):
         self.failed += 1
 
-    def note_lateness(self, late_s, *, is_late):
+    def note_lateness(self, late_s):
         pass
 
     def status_line(self):

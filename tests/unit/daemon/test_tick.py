@@ -8,6 +8,7 @@ import pytest
 
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
+from arpd.model.link import LinkState
 from arpd.model.observation import MemoryState
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
@@ -154,16 +155,28 @@ class KnownLink:
     """An estimator that knows the capacity."""
 
     has_evidence = True
-    capacity = 1e6
+    capacity, state = 1e6, LinkState.STEADY
 
     def needs_look(self, _now_s, _backlog_bytes):
         return True
 
     def update(self, _observation):
-        return replace(LINK, capacity_bytes_per_second=self.capacity)
+        return replace(LINK, capacity_bytes_per_second=self.capacity, state=self.state)
 
     def wanted_probes(self, _now_s):
         return ()
+
+
+def test_it_plans_twice_a_second_and_at_once_on_news():
+    """Between two plans only the price follows the link; another state of the link is news."""
+    link = KnownLink()
+    daemon: Any = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
+    for tick in range(10):
+        daemon.tick(0.1 * tick)
+    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (2, 6)
+    link.state = LinkState.OUTAGE
+    daemon.tick(1.0 - 0.05)
+    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (3, 11)
 
 
 def test_the_price_follows_the_link_within_a_tick():

@@ -37,7 +37,12 @@ def test_a_row_has_the_ceiling_and_the_terms_of_the_price(capacity):
     """At any capacity a publisher may grow a little above its source, and gets weight, size and floor."""
     row = planned(capacity, [replace(TOPIC, weight=3.0)]).topics["/t"]
     assert row.rate_hz == 1.25 * TOPIC.desired_rate_hz
-    assert row.terms == (TOPIC.min_rate_hz, 3.0, TOPIC.wire_bytes, TOPIC.packets)
+    assert (row.min_rate_hz, row.weight, row.wire_bytes, row.packets) == (
+        TOPIC.min_rate_hz,
+        3.0,
+        TOPIC.wire_bytes,
+        TOPIC.packets,
+    )
 
 
 def test_an_operators_cap_is_a_cap():

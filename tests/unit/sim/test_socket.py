@@ -74,7 +74,9 @@ def test_of_a_large_sample_only_what_was_lost_is_sent_again():
 
 
 def test_where_the_bottleneck_is_further_on_nobody_waits_and_the_queue_drops():
-    """Between the hosts a picture larger than the queue blocks nobody and loses its end."""
+    """Between the hosts a picture larger than the queue blocks nobody and loses its end, which is sent again."""
     sender = Sender(math.inf)
     assert not sender.socket.is_full
     assert sender.there.dropped_packets > 0
+    sender.timeline.run_until(1.0)
+    assert len(sender.arrivals.sequences) == 1
