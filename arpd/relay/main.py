@@ -16,10 +16,13 @@ from arpd.host.notify import Notifier, Watchdog
 from arpd.model.settings import AUTO
 from arpd.relay.ends.prefix import run_prefix
 from arpd.relay.ends.run import run_end
-from arpd.ros.runtime import stop_on_signals
+from arpd.ros.runtime import serve_until, stop_on_signals
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+
+    from arpd.relay.ends.participants import Parts
 
 log = logging.getLogger(__name__)
 
@@ -50,21 +53,23 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     notifier = Notifier()
     link = AUTO if is_far else settings.link.interface  # the file names the robot's
     addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
-    name = node_name or default_node_name(platform.node(), is_far=is_far)
+
+    def serve(step: Callable[[], None], every_s: float, parts: Parts) -> None:
+        heartbeat = Watchdog(notifier, parts=parts)
+        notifier.ready()
+        try:
+            serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=step, every_s=every_s)
+        finally:
+            notifier.stopping()
+
+    host, on_change = platform.node(), notifier.status
+    name = node_name or default_node_name(host, is_far=is_far)
     if settings.relay.link_domain is not None:
-        run_end(
-            settings.relay,
-            is_far=is_far,
-            node_name=name,
-            host=platform.node(),
-            notifier=notifier,
-            stopping=stopping,
-            addresses=addresses,
-        )
+        run_end(settings.relay, serve, is_far=is_far, node_name=name, host=host, on_change=on_change)
     elif is_far:
         _idle(f"nothing to do: relay.link_domain is not set in {config_path}", notifier, stopping)
     else:
-        run_prefix(settings.relay, node_name=name, notifier=notifier, stopping=stopping, addresses=addresses)
+        run_prefix(settings.relay, serve, node_name=name, on_change=on_change)
     return 0
 
 

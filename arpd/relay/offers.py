@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
-import zlib
-from dataclasses import asdict, dataclass, field
-from types import MappingProxyType
+from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from arpd.ros.documents import MOST_INTEGER, integer, pack, unpack
 
-VERSION = 4
-_MOST_NUMBER = 2**16 - 1  # of a writer and of a place in a group: their fields in a sample have 16 bits
-_MOST_NS = 2**63 - 1
-_MOST_DEPTH = 5000
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from dataclasses import Field
+
+VERSION = 5
 _SESSION = re.compile(r"[0-9a-f]{16}")
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 
@@ -88,7 +85,7 @@ class EndState:
     Parameters
     ----------
     session : 16 hexadecimal digits, new with each process
-    number : counts the states of the session
+    serial : counts the states of the session
     host : its host name
     arpd : its version of arpd
     topics, services : what it offers
@@ -99,33 +96,20 @@ class EndState:
     """
 
     session: str
-    number: int
+    serial: int
     host: str = ""
     arpd: str = ""
-    topics: Mapping[str, TopicOffer] = field(default_factory=lambda: MappingProxyType({}))
-    services: Mapping[str, ServiceOffer] = field(default_factory=lambda: MappingProxyType({}))
+    topics: Mapping[str, TopicOffer] = field(default_factory=dict)
+    services: Mapping[str, ServiceOffer] = field(default_factory=dict)
     wants: frozenset[str] = frozenset()
-    refused: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    refused: Mapping[str, str] = field(default_factory=dict)
     link_gids: str = ""
     local_gids: str = ""
 
 
 def encode_state(state: EndState) -> bytes:
-    """Return the state as compressed JSON."""
-    document = {
-        "version": VERSION,
-        "session": state.session,
-        "number": state.number,
-        "host": state.host,
-        "arpd": state.arpd,
-        "topics": {name: asdict(topic) for name, topic in state.topics.items()},
-        "services": {name: asdict(service) for name, service in state.services.items()},
-        "wants": sorted(state.wants),
-        "refused": dict(state.refused),
-        "link_gids": state.link_gids,
-        "local_gids": state.local_gids,
-    }
-    return zlib.compress(json.dumps(document, separators=(",", ":")).encode())
+    """Return the state as bytes."""
+    return pack({"version": VERSION, **asdict(state), "wants": sorted(state.wants)})
 
 
 def decode_state(data: bytes) -> EndState:
@@ -138,34 +122,28 @@ def decode_state(data: bytes) -> EndState:
     ValueError
         If the bytes are no state.
     """
+    document = unpack(data, most_bytes=_MOST_BYTES)
+    if (version := document.get("version")) != VERSION:
+        words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
+        raise OtherVersionError(f"{words}; install one arpd on both ends")
     try:
-        expand = zlib.decompressobj()
-        text = expand.decompress(data, _MOST_BYTES)
-        if expand.unconsumed_tail:
-            raise ValueError(f"a state of more than {_MOST_BYTES} bytes")
-        document = json.loads(text)
-        if (version := document["version"]) != VERSION:
-            words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
-            raise OtherVersionError(f"{words}; install one arpd on both ends")
-        return EndState(
-            session=_session(document["session"]),
-            number=_whole(document["number"], most=_MOST_NS),
-            host=str(document["host"]),
-            arpd=str(document["arpd"]),
-            topics={str(name): _topic(topic) for name, topic in document["topics"].items()},
-            services={
-                str(name): ServiceOffer(type_name=str(service["type_name"]), node=str(service["node"]))
-                for name, service in document["services"].items()
-            },
-            wants=frozenset(map(str, document["wants"])),
-            refused={str(name): str(reason) for name, reason in document["refused"].items()},
-            link_gids=str(document.get("link_gids", "")),
-            local_gids=str(document.get("local_gids", "")),
-        )
-    except RecursionError as fault:
-        raise ValueError("no state of a relay (it is nested)") from fault
-    except (zlib.error, KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as fault:
+        state: EndState = _read(EndState, document)
+    except (KeyError, TypeError, AttributeError) as fault:
         raise ValueError(f"no state of a relay ({fault})") from fault
+    return state
+
+
+def _read(kind: Any, document: Any) -> Any:
+    """Return a record from its values by name."""
+    return kind(**{each.name: _value(each, document[each.name]) for each in fields(kind)})
+
+
+def _value(of: Field[Any], value: Any) -> Any:
+    if of.name in _READERS:
+        return _READERS[of.name](value)
+    if of.type == "int":
+        return integer(of.name, value, most=_MOST.get(of.name, MOST_INTEGER))
+    return value is True if of.type == "bool" else str(value)
 
 
 def _session(value: Any) -> str:
@@ -174,34 +152,12 @@ def _session(value: Any) -> str:
     return value
 
 
-def _topic(document: Any) -> TopicOffer:
-    return TopicOffer(
-        type_name=str(document["type_name"]),
-        writers=tuple(map(_writer, document["writers"])),
-        link_name=str(document["link_name"]),
-        member=_whole(document["member"], most=_MOST_NUMBER),
-        type_hash=str(document["type_hash"]),
-        planned_depth=_whole(document["planned_depth"], most=_MOST_DEPTH),
-        planned_deadline_ns=_whole(document["planned_deadline_ns"], most=_MOST_NS),
-    )
-
-
-def _writer(document: Any) -> WriterOffer:
-    return WriterOffer(
-        number=_whole(document["number"], most=_MOST_NUMBER),
-        node=str(document["node"]),
-        gid=str(document["gid"]),
-        is_reliable=document["is_reliable"] is True,
-        is_latched=document["is_latched"] is True,
-        deadline_ns=_whole(document["deadline_ns"], most=_MOST_NS),
-        lifespan_ns=_whole(document["lifespan_ns"], most=_MOST_NS),
-        lease_ns=_whole(document["lease_ns"], most=_MOST_NS),
-        is_manual=document["is_manual"] is True,
-        is_alive=document["is_alive"] is True,
-    )
-
-
-def _whole(value: Any, *, most: int) -> int:
-    if type(value) is not int or not 0 <= value <= most:
-        raise ValueError(f"{value!r} is not in 0..{most}")
-    return value
+_MOST = {"number": 2**16 - 1, "member": 2**16 - 1, "planned_depth": 5000}  # the first two have 16 bits in a sample
+_READERS: Mapping[str, Callable[[Any], Any]] = {
+    "session": _session,
+    "topics": lambda topics: {str(name): _read(TopicOffer, topic) for name, topic in topics.items()},
+    "writers": lambda writers: tuple(_read(WriterOffer, writer) for writer in writers),
+    "services": lambda services: {str(name): _read(ServiceOffer, service) for name, service in services.items()},
+    "wants": lambda wants: frozenset(map(str, wants)),
+    "refused": lambda refused: {str(name): str(reason) for name, reason in refused.items()},
+}

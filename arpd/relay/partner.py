@@ -36,7 +36,7 @@ class Partner:
         """Take a sign of life, with or without a state."""
         self._heard_s[session] = now_s
         known = self._states.get(session)
-        if state is not None and (known is None or state.number > known.number):
+        if state is not None and (known is None or state.serial > known.serial):
             self._states[session] = state
 
     def look(self, now_s: float) -> None:

@@ -1,8 +1,10 @@
-"""Status lines of the relay."""
+"""What the relay says of itself: status lines, and the topics of each direction for its summary."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+from arpd.model.relay import RelaySummary, RelayTopics
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -12,53 +14,55 @@ if TYPE_CHECKING:
 MOST_NAMED = 3  # in one part of the line
 
 
+def topics_of(sender: EndState, receiver: EndState) -> RelayTopics:
+    """Return the topics of one direction.
+
+    An end mostly refuses what would enter its side; only a name that nobody offers there has to leave it.
+    """
+    entering = {*sender.topics, *sender.services}
+    leaving = {*receiver.topics, *receiver.services}
+    refused = {name: reason for name, reason in sender.refused.items() if name not in leaving}
+    refused |= {name: reason for name, reason in receiver.refused.items() if name in entering}
+    return RelayTopics(offered=len(sender.topics), wanted=len(sender.topics.keys() & receiver.wants), refused=refused)
+
+
 def status_line(
-    *,
-    is_far: bool,
-    fault: str,
-    state: EndState | None,
-    is_reachable: bool,
-    is_shared: bool,
-    offered: int,
-    carried: int,
-    wanted: int,
-    second_ends: Collection[str],
-    others: Collection[str],
-    refused: Mapping[str, str],
-    differ: Mapping[str, str],
+    relay: RelaySummary, *, is_far: bool, is_met: bool, is_shared: bool, second_ends: Collection[str]
 ) -> str:
     """Return one line for ``systemctl status``.
 
     Parameters
     ----------
     is_far : whether this is the base computer's end
-    fault : of the other end's messages, empty if there is none
-    state, is_reachable : of the other end
+    is_met : whether it knows the other end
     is_shared : whether both ends are in one ROS domain
-    offered, carried, wanted : topics that may leave, that leave, and of the other side that somebody reads here
     second_ends : hosts of further ends on the other side
-    others : nodes in the link domain that are not arpd's
-    refused, differ : topics that do not enter, or have another type here, and the reason
     """
-    here, there = ("base computer", "robot") if is_far else ("robot", "base computer")
-    if fault:
-        return f"the {there}'s end is not understood: {fault}"
-    if state is None:
-        return f"waiting for the {there}'s end; {offered} topics of the {here} could cross"
+    here, there, leaving, entering = "robot", "base computer", relay.to_base, relay.to_robot
+    if is_far:
+        here, there, leaving, entering = there, here, entering, leaving
+    if relay.fault:
+        return f"the {there}'s end is not understood: {relay.fault}"
+    if not is_met:
+        return f"waiting for the {there}'s end; {leaving.offered} topics of the {here} could cross"
     if is_shared:
         return (
             "nothing crosses: both ends are in one ROS domain and see each other there; give the two sides different "
             "ROS_DOMAIN_IDs, or the ends ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
         )
-    line = f"{carried} of {offered} topics cross to the {there}, {wanted} of {len(state.topics)} to the {here}"
-    if not is_reachable:
+    line = (
+        f"{leaving.wanted} of {leaving.offered} topics cross to the {there}, "
+        f"{entering.wanted} of {entering.offered} to the {here}"
+    )
+    if not relay.is_reachable:
         line = f"the {there}'s end is silent; {line}"
-    if others:
-        line += f"; the link domain has other nodes ({', '.join(others)}): only arpd's may live there"
+    if relay.strangers:
+        line += f"; the link domain has other nodes ({', '.join(relay.strangers)}): only arpd's may live there"
     if second_ends:
         line += f"; ignored another {there}'s end on {', '.join(second_ends)}: one robot has one"
-    line += _named("refused", refused) + _named(f"the {there}'s end refuses", state.refused)
-    return line + _named("two types of", differ)
+    return (
+        line + _named("refused", {**leaving.refused, **entering.refused}) + _named("two types of", relay.types_differ)
+    )
 
 
 def prefix_line(*, topics: int, silent: Collection[str], refused: Mapping[str, str], ignored: Mapping[str, str]) -> str:

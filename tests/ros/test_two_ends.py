@@ -321,7 +321,7 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     states = living.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
     signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     wants = frozenset({"/map", "/other"})
-    state = EndState(session="0" * 16, number=1, wants=wants, link_gids=GraphView.of(living).own.participant.hex())
+    state = EndState(session="0" * 16, serial=1, wants=wants, link_gids=GraphView.of(living).own.participant.hex())
     states.publish(wrap(encode_state(state)))
 
     def lives(condition):
@@ -354,8 +354,8 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     ends = world().start("robot")
     stranger = ends.link_side().node("stranger")
     publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
-    publisher.publish(wrap(encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))))
-    words = "it speaks version 9 (arpd 9.9), this end version 4"
+    publisher.publish(wrap(encode_state(EndState(session="0" * 16, serial=1, arpd="9.9"))))
+    words = "it speaks version 9 (arpd 9.9), this end version 5"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 
@@ -373,7 +373,7 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
         for name, lifespan_ns in lifespans_ns.items()
     }
     link_gids = GraphView.of(stranger).own.participant.hex()
-    state = EndState(session="0" * 15 + "1", number=1, topics=topics, link_gids=link_gids)
+    state = EndState(session="0" * 15 + "1", serial=1, topics=topics, link_gids=link_gids)
     states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
     signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     states.publish(wrap(encode_state(state)))
@@ -415,7 +415,7 @@ def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
         name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
     }
-    state = EndState(session="0" * 16, number=1, topics=topics, link_gids=GraphView.of(stranger).own.participant.hex())
+    state = EndState(session="0" * 16, serial=1, topics=topics, link_gids=GraphView.of(stranger).own.participant.hex())
     states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
     signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
     states.publish(wrap(encode_state(state)))

@@ -7,7 +7,6 @@ import math
 import time
 from collections import Counter
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import InvalidServiceNameException, NameValidationException
@@ -87,9 +86,9 @@ class Calls:
         self._clients: dict[tuple[str, str], LocalClient] = {}  # by name on the link, and type
         self._stepped_s = self._look_s = clock()
         self._logged = OncePerMinute()
-        self.offered: tuple[Mapping[str, ServiceOffer], int | None] = MappingProxyType({}), None
-        self.offers: Mapping[str, ServiceOffer] = MappingProxyType({})
-        self.refused: Mapping[str, str] = MappingProxyType({})
+        self.offered: tuple[Mapping[str, ServiceOffer], int | None] = {}, None
+        self.offers: Mapping[str, ServiceOffer] = {}
+        self.refused: Mapping[str, str] = {}
         self.failures: Counter[str] = Counter()
         self._caller = Caller(send=link.send)
         self._callee = Callee(send=link.send, run=self._run, stop=self._stop)

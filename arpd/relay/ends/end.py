@@ -15,20 +15,20 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd import __version__
 from arpd.endpoint.node_publishers import NodePublishers
+from arpd.model.relay import RelaySummary
 from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
 from arpd.relay.ends.link_reader import CallLink, LinkReader
 from arpd.relay.ends.link_thread import LinkThread
-from arpd.relay.ends.outgoing import Outgoing
-from arpd.relay.ends.summary import summary
+from arpd.relay.ends.link_topic import LinkOutgoing
 from arpd.relay.ends.survey import Survey
 from arpd.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
-from arpd.relay.status import MOST_NAMED, status_line
-from arpd.ros.graph_view import GraphView
+from arpd.relay.status import MOST_NAMED, status_line, topics_of
+from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
 from arpd.ros.rcl import rcl
 
@@ -85,7 +85,7 @@ class End:
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
-        self._link_gids = GraphView.of(link_node).own.participant.hex()
+        self._link_view = GraphView.of(link_node)
         self._partner = Partner()
         self._partner_session = ""
         self._fault = ""  # of the other end's messages
@@ -96,7 +96,7 @@ class End:
         self._offered_to_us: Mapping[str, TopicOffer] = {}
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
-        self._told = EndState(session=f"{session:016x}", number=0)
+        self._told = EndState(session=f"{session:016x}", serial=0)
         self._begun_s = self._look_s = clock()
         role, other = ("base", "robot") if is_far else ("robot", "base")
         self._states, small, signs = (
@@ -119,13 +119,13 @@ class End:
             depths=settings.depths,
             clock=clock,
         )
-        self.outgoing = Outgoing(
+        self.outgoing = LinkOutgoing(
+            link_node,
+            self.link,
             node=node,
-            link_node=link_node,
             survey=self.survey,
             thread=self.outgoing_thread,
-            link=self.link,
-            side=self._side,
+            local_name=self._side.local_name,
             settings=settings,
             clock=clock,
         )
@@ -312,61 +312,67 @@ class End:
         """Send this end's state if it has changed."""
         state = EndState(
             session=self._told.session,
-            number=self._told.number,
+            serial=self._told.serial,
             host=self._host,
             arpd=__version__,
             topics=self._offers,
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
-            link_gids=self._link_gids,
+            link_gids=self._link_view.own.participant.hex(),
             local_gids=self._own_gids,
         )
         if state != self._told:
-            self._told = state = replace(state, number=state.number + 1)
+            self._told = state = replace(state, serial=state.serial + 1)
             self.link.send(rcl().outlet(self._states.handle).publish, encode_state(state))
 
     # -- status
 
     def _report(self, now_s: float) -> None:
-        status = self.status_line(now_s)
+        relay = self._summary(now_s)
+        status = status_line(
+            relay,
+            is_far=self._is_far,
+            is_met=self._partner.state is not None,
+            is_shared=self._is_shared,
+            second_ends=self._partner.others(now_s),
+        )
         is_news, self._status = status != self._status, status
         if is_news:
             self._on_change(status)
         if not self._is_far and (is_news or now_s >= self._summary_s):
             self._summary_s, told = now_s + EVERY_S, NodePublishers.of(self._link_node)
-            told.relay = summary(
-                replace(self._told, refused=self._refused),
-                self._partner.state,
-                counted=(self.incoming, self.outgoing, self._calls, self.link),
-                is_reachable=self._partner.is_reachable(now_s),
-                fault=self._fault,
-                strangers=tuple(self._others),
-                types_differ=self._differ,
-            )
+            told.relay = relay
             if is_news:
                 told.hurry()
 
-    def status_line(self, now_s: float) -> str:
-        """Return one line for ``systemctl status``."""
-        return status_line(
-            is_far=self._is_far,
-            fault=self._fault,
-            state=self._partner.state,
+    def _summary(self, now_s: float) -> RelaySummary:
+        here, there = replace(self._told, refused=self._refused), self._partner.state or EndState(session="", serial=0)
+        robot, base = (there, here) if self._is_far else (here, there)
+        return RelaySummary(
+            other_host=there.host,
             is_reachable=self._partner.is_reachable(now_s),
-            is_shared=self._is_shared,
-            offered=len(self._offers),
-            carried=len(self.outgoing.carried),
-            wanted=len(self.incoming.wants),
-            second_ends=self._partner.others(now_s),
-            others=self._others,
-            refused=self._refused,
-            differ=self._differ,
+            fault=self._fault,
+            to_base=topics_of(robot, base),
+            to_robot=topics_of(base, robot),
+            received=self.incoming.received,
+            doubled=self.incoming.doubled,
+            unknown=self.incoming.unknown,
+            outdated=self.incoming.outdated,
+            link_bytes=self.link.link_bytes,
+            incomplete=self.outgoing.incomplete,
+            calls_failed=dict(self._calls.failures),
+            strangers=tuple(self._others),
+            types_differ=self._differ,
         )
 
     def _nodes_of_others(self) -> list[str]:
-        names = sorted({*self._link_node.get_node_names()} - {self._link_node.get_name()})
-        return [name for name in names if not name.startswith("arpd")][:MOST_NAMED]
+        self._link_view.look()
+        writers = self._link_view.writers(ON_EVERY_NODE)
+        names = sorted({writer.node.removeprefix("/") for writer in writers} - {""})
+        return [name for name in names if not name.startswith("arpd") and name != self._link_node.get_name()][
+            :MOST_NAMED
+        ]
 
     def _note_fault(self, words: str) -> None:
         if words != self._fault:

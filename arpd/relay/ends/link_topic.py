@@ -1,31 +1,43 @@
-"""One topic on the link: its writer there, and what the daemon sees and plans of it."""
+"""Topics on the link: their writers there, what the daemon sees and plans of them, and who reads them."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
+from arpd.endpoint.lane import Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.plan import TopicPlan
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
+from arpd.relay.ends.outgoing import Carried, Outgoing
+from arpd.relay.ends.types import message_class
+from arpd.relay.envelope import Record, key_of, pack
+from arpd.relay.sets import Sets
 from arpd.ros.events import no_publisher_events
 from arpd.ros.graph import type_name_of
+from arpd.ros.graph_view import GraphView
 from arpd.ros.rcl import rcl
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rclpy.node import Node
 
-    from arpd.endpoint.lane import Lane
     from arpd.model.price import Price
     from arpd.relay.ends.link_thread import LinkThread
+    from arpd.relay.ends.topic_readers import TopicReaders
+    from arpd.relay.offers import TopicOffer, WriterOffer
+    from arpd.ros.raw_reader import Sample
 
+_HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
+_LINGER_S = 3.0  # an end that has just started wants nothing at first
 #: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
 LINK_DEPTH = 400
 
@@ -42,6 +54,7 @@ class LinkTopic:
     thread : writes to the link
     make_lane : makes its lane, given what writes a chunk
     depth : most samples that wait before the first plan
+    sets : of a group: its samples cross in sets; None = it is no group
     """
 
     def __init__(
@@ -52,8 +65,10 @@ class LinkTopic:
         thread: LinkThread,
         make_lane: Callable[[Callable[[bytes], None]], Lane],
         depth: int,
+        sets: Sets | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self.sets, self._lock = sets, threading.Lock()  # the reading thread sends, and who learns the name of a writer
         self._node = node
         self._thread = thread
         self._clock = clock
@@ -74,9 +89,22 @@ class LinkTopic:
         """Mean size of a sample (bytes)."""
         return self._lane.payload_bytes
 
-    def offer(self, message: bytes, *, source: Hashable = None, lifespan_ns: int = 0) -> None:
-        """Let a message wait for its turn; `LinkThread.offer` explains the arguments."""
-        self._thread.offer(self._lane, message, source=source, lifespan_ns=lifespan_ns)
+    def send(self, member: int, writer: WriterOffer, sample: Sample) -> None:
+        """Let a sample wait for its turn; of a group, its set once that is complete."""
+        records = [Record(member, writer.number, sample.sequence, sample.data)]
+        source: int | None = writer.number
+        if self.sets is not None:
+            with self._lock:
+                if (complete := self.sets.add(records[0])) is None:
+                    return
+            records, source = complete, None
+        self._thread.offer(self._lane, pack(records), source=source, lifespan_ns=writer.lifespan_ns)
+
+    def follow(self, members: Collection[int]) -> None:
+        """Wait for the samples of these members of the group."""
+        if self.sets is not None:
+            with self._lock:
+                self.sets.members = frozenset(members)
 
     def get_subscription_count(self) -> int:
         """Count the matched readers."""
@@ -120,3 +148,113 @@ class LinkTopic:
 
     def _settle(self) -> None:
         self._thread.retune(self._lane, self.plan, self._price)
+
+
+class LinkOutgoing(Outgoing):
+    """Offers the samples of the wanted topics to the paced queue of the link.
+
+    A topic is read once its writer on the link has a reader there: a history would be lost otherwise.
+
+    Parameters
+    ----------
+    link_node : the end's node in the domain of the link
+    link : writes to the link
+    others : as `Outgoing` takes them
+    """
+
+    def __init__(self, link_node: Node, link: LinkThread, **others: Any) -> None:
+        super().__init__(linger_s=_LINGER_S, **others)
+        self._link_node, self._link = link_node, link
+        self._view = GraphView.of(link_node)
+        self._readers_gids = ""
+        self._incomplete = 0  # of groups that are not carried any more
+
+    @property
+    def plans(self) -> dict[str, tuple[int, int]]:
+        """DEPTH and DEADLINE that the daemon has planned (samples, ns), by the name on the link."""
+        plans = {name: carried.publisher.plan for name, carried in self._carried.items()}
+        return {name: plan.qos for name, plan in plans.items() if plan.weight > 0}
+
+    @property
+    def incomplete(self) -> int:
+        """Count the samples of groups whose set was never complete."""
+        sets = [carried.publisher.sets for carried in self._carried.values()]
+        return self._incomplete + sum(int(each.dropped) for each in sets if each is not None)
+
+    def living(self, topic: str, writers: Iterable[WriterOffer]) -> tuple[WriterOffer, ...]:
+        """Return the writers of a topic by their numbers, each with whether it is alive."""
+        carried = self._carried.get(self.names.of(topic)[0])
+        readers = None if carried is None else carried.readers.get(topic)
+        return tuple(
+            replace(writer, is_alive=readers is not None and readers.are_alive(writer)) if writer.is_manual else writer
+            for writer in sorted(writers, key=lambda writer: writer.number)
+        )
+
+    def step(self, offers: Mapping[str, TopicOffer]) -> None:
+        """Open the readers of topics whose writer on the link has found its reader there."""
+        super().step(offers)
+        for carried in self._carried.values():
+            carried.publisher.follow({self.names.of(topic)[1] for topic in carried.wanted - self.refused.keys()})
+
+    def meet(self, link_gids: str) -> None:
+        """Begin again with latched topics: the other end is another process now, and lacks their histories.
+
+        They are read once a reader of that process has matched: for some seconds those of the dead one still do.
+
+        The other topics stay as they are, because the new process may hear them already: it asks for what it reads a
+        second after its start, and new writers would cost it the samples of their match.
+
+        Parameters
+        ----------
+        link_gids : first bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not known
+        """
+        self._readers_gids = link_gids
+        self.forget([name for name, carried in self._carried.items() if carried.is_latched])
+
+    def _is_heard(self, publisher: LinkTopic) -> bool:
+        """Return whether the other end's process reads it, and not only the one before."""
+        if not publisher.get_subscription_count():
+            return False
+        self._view.look()
+        return any(
+            reader.gid.hex().startswith(self._readers_gids) for reader in self._view.readers(publisher.topic_name)
+        )
+
+    def _publisher(self, link_name: str, _type_name: str, *, is_latched: bool) -> LinkTopic:
+        depth, is_group = self._settings.depths.get(link_name), self.names.is_group(link_name)
+
+        def lane(write: Callable[[bytes], None]) -> Lane:
+            if link_name in self._settings.queued:
+                most = depth or DEFAULT_RELAY_DEPTH
+                return Lane(write, depth=most, large_depth=most, is_ordered=True, is_kept=True)
+            if is_latched:
+                return Lane(write, depth=depth or _HISTORY, large_depth=depth or 1, is_kept=True)
+            # A set of a group leaves alone: it is seldom small.
+            return Lane(write, key=None if is_group else key_of(link_name))
+
+        return LinkTopic(
+            self._link_node,
+            link_name,
+            thread=self._link,
+            make_lane=lane,
+            depth=depth or DEFAULT_RELAY_DEPTH,
+            sets=Sets(()) if is_group else None,
+        )
+
+    def _readers(self, carried: Carried, topic: str, type_name: str) -> TopicReaders:
+        if carried.publisher.sets is not None and not has_header(message_class(type_name)):
+            raise ValueError(f"{type_name} has no header stamp, by which its group is thinned")
+        return super()._readers(carried, topic, type_name)
+
+    def _send(self, publisher: LinkTopic, member: int, writer: WriterOffer, sample: Sample) -> None:
+        publisher.send(member, writer, sample)
+
+    def _drop(self, link_name: str) -> None:
+        sets = self._carried[link_name].publisher.sets
+        super()._drop(link_name)
+        self._incomplete += 0 if sets is None else sets.dropped
+
+
+def has_header(msg_type: Any) -> bool:
+    """Return whether the first field of a message class is a std_msgs/Header."""
+    return next(iter(msg_type.get_fields_and_field_types().values()), "") == "std_msgs/Header"

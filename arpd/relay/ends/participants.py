@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rclpy.context import Context
 
@@ -12,7 +12,12 @@ from arpd.endpoint.node_publishers import NodePublishers
 from arpd.ros.runtime import ros_node
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
+
+    #: For each thread that must not hang, returns the end of its last round (monotonic s).
+    Parts: TypeAlias = Sequence[Callable[[], float]]
+    #: Calls a step again and again, so often (s), until the process shall end; these parts must not hang.
+    Serve: TypeAlias = Callable[[Callable[[], None], float, Parts], None]
 
 _MOST_TOPICS = 100
 _MOST_LARGE = 8  # each costs threads, and discovery with every other participant
@@ -32,7 +37,7 @@ class Participants:
 
     Attributes
     ----------
-    parts : for each thread that must not hang, returns the end of its last round (monotonic s)
+    parts : its threads
     """
 
     def __init__(self, first: Any) -> None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from std_msgs.msg import Empty
 
-from arpd.host.notify import Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.relay.ends.end import End
 from arpd.ros.rmw import current_rmw
@@ -21,39 +20,34 @@ from arpd.ros.runtime import (
     TWO_ENDED_PROFILE,
     prepare_environment,
     ros_node,
-    serve_until,
 )
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from rclpy.node import Node
 
-    from arpd.host.addresses import Addresses
-    from arpd.host.notify import Notifier
     from arpd.model.settings import RelaySettings
+    from arpd.relay.ends.participants import Serve
     from arpd.ros.rmw import Rmw
 
+_TICK_S = 0.1
 _M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 128 * 1024
 
 
 def run_end(
     settings: RelaySettings,
+    serve: Serve,
     *,
     is_far: bool,
     node_name: str,
     host: str,
-    notifier: Notifier,
-    stopping: threading.Event,
-    addresses: Addresses,
+    on_change: Callable[[str], None],
 ) -> None:
-    """Run one end until ``stopping`` is set.
+    """Run one end as long as ``serve`` does, whose errors pass.
 
     Raises
     ------
-    LinkError
-        If only a new process can use the link's address.
     RosUnavailableError
         If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
     """
@@ -62,22 +56,10 @@ def run_end(
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         check_middleware(current_rmw())
         check_deaf_to_itself(node)
-        end = End(
-            node,
-            link_node,
-            settings,
-            is_far=is_far,
-            host=host,
-            session=secrets.randbits(32),
-            on_change=notifier.status,
-        )
-        heartbeat = Watchdog(notifier, parts=[partial(getattr, each, "finished_s") for each in end.threads])
-        notifier.ready()
+        session = secrets.randbits(32)
+        end = End(node, link_node, settings, is_far=is_far, host=host, session=session, on_change=on_change)
         with closing(end):
-            try:
-                serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=end.tick)
-            finally:
-                notifier.stopping()
+            serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])
 
 
 def return_large_blocks() -> None:

@@ -44,18 +44,12 @@ def message_class(type_name: str) -> Any:
     UnknownTypeError
         If its package is not installed, has no such message, or lacks its libraries.
     """
-    return _loaded(type_name, _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES))
+    return _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES)
 
 
 def service_class(type_name: str) -> Any:
-    """Import a service class: ``std_srvs/srv/Trigger`` or ``nav2_msgs/action/Spin_SendGoal``.
-
-    Raises
-    ------
-    UnknownTypeError
-        If its package is not installed, has no such service, or lacks its libraries.
-    """
-    return _loaded(type_name, _import(type_name, folder="srv", of_actions=_ACTION_SERVICES))
+    """Import a service class: ``std_srvs/srv/Trigger`` or ``nav2_msgs/action/Spin_SendGoal``; errors as above."""
+    return _import(type_name, folder="srv", of_actions=_ACTION_SERVICES)
 
 
 def definition_hash(kind: Any) -> str:
@@ -72,19 +66,8 @@ def expected_bytes(kind: Any) -> int:
     return PLAIN_BYTES if _OCTETS.isdisjoint(kind.get_fields_and_field_types().values()) else BULK_BYTES
 
 
-def _loaded(type_name: str, kind: Any) -> Any:
-    """Return the class after loading its libraries, which rclpy otherwise does at the first endpoint."""
-    try:
-        check_for_type_support(kind)
-    except (UnsupportedTypeSupport, NoTypeSupportImportedException) as error:
-        raise UnknownTypeError(
-            f"the libraries of {type_name} cannot be loaded; source the setup.bash of their workspace"
-        ) from error
-    return kind
-
-
 def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
-    """Import a class from a folder of its package, or from an action."""
+    """Import a class from a folder of its package, or from an action, and load its libraries."""
     match = _NAME.fullmatch(type_name)
     if match is None:
         raise UnknownTypeError(f"{type_name!r} is no type of ROS 2")
@@ -92,15 +75,23 @@ def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:
     ending = f"_{name.rpartition('_')[2]}"
     if not _is_generated(package, kind):
         raise UnknownTypeError(f"{type_name} is not installed here ({package} has no {kind} of ROS)")
+    if kind not in {folder, "action"} or (kind == "action" and ending not in of_actions):
+        raise UnknownTypeError(f"{type_name} is no {folder}")
     try:
+        module = importlib.import_module(f"{package}.{kind}")
         if kind == folder:
-            return getattr(importlib.import_module(f"{package}.{folder}"), name)
-        if kind == "action" and ending in of_actions:
-            action = getattr(importlib.import_module(f"{package}.action"), name.removesuffix(ending))
-            return getattr(action.Impl, of_actions[ending])
+            found = getattr(module, name)
+        else:
+            found = getattr(getattr(module, name.removesuffix(ending)).Impl, of_actions[ending])
     except (ImportError, AttributeError) as error:
         raise UnknownTypeError(f"{type_name} is not installed here ({error})") from error
-    raise UnknownTypeError(f"{type_name} is no {folder}")
+    try:
+        check_for_type_support(found)  # rclpy otherwise loads them at the first endpoint
+    except (UnsupportedTypeSupport, NoTypeSupportImportedException) as error:
+        raise UnknownTypeError(
+            f"the libraries of {type_name} cannot be loaded; source the setup.bash of their workspace"
+        ) from error
+    return found
 
 
 def _is_generated(package: str, folder: str) -> bool:

@@ -1,6 +1,5 @@
 """States that the ends of a relay tell each other."""
 
-import json
 import zlib
 
 import pytest
@@ -17,6 +16,7 @@ from arpd.relay.offers import (
     decode_state,
     encode_state,
 )
+from arpd.ros.documents import pack, unpack
 
 NAMES = st.text(min_size=1, max_size=20)
 PERIODS = st.integers(0, 2**63 - 1)
@@ -46,7 +46,7 @@ TOPICS = st.builds(
 STATES = st.builds(
     EndState,
     session=st.binary(min_size=8, max_size=8).map(bytes.hex),
-    number=st.integers(0, 10**9),
+    serial=st.integers(0, 10**9),
     host=NAMES,
     arpd=NAMES,
     topics=st.dictionaries(NAMES, TOPICS, max_size=3),
@@ -56,7 +56,7 @@ STATES = st.builds(
 )
 STATE = EndState(
     session="0" * 16,
-    number=1,
+    serial=1,
     topics={"/a": TopicOffer(type_name="t", writers=(WriterOffer(number=0, node="/n", gid="00"),), link_name="/a")},
 )
 
@@ -71,7 +71,7 @@ def test_a_state_arrives_as_it_was_sent(state):
 def test_bytes_that_are_no_state_are_refused(data):
     """Bytes of another origin are refused, compressed or not."""
     for each in (data, zlib.compress(data)):
-        with pytest.raises(ValueError, match=r"state|invalid|Expecting|double|Extra"):
+        with pytest.raises(ValueError):
             decode_state(each)
 
 
@@ -80,8 +80,8 @@ def test_bytes_that_are_no_state_are_refused(data):
     [
         (("session",), "0x1"),
         (("session",), None),
-        (("number",), -1),
-        (("number",), True),
+        (("serial",), -1),
+        (("serial",), True),
         (("topics", "/a", "writers", 0, "number"), 2**16),
         (("topics", "/a", "writers", 0, "deadline_ns"), -1),
         (("topics", "/a", "writers", 0, "lease_ns"), 2**63),
@@ -97,19 +97,19 @@ def test_bytes_that_are_no_state_are_refused(data):
 )
 def test_a_state_with_a_bad_value_is_refused(path, value):
     """A value of the wrong kind, or out of range, spoils the whole state."""
-    document = json.loads(zlib.decompress(encode_state(STATE)))
+    document = unpack(encode_state(STATE), most_bytes=10_000)
     held = document
     for step in path[:-1]:
         held = held[step]
     held[path[-1]] = value
     with pytest.raises(ValueError):
-        decode_state(zlib.compress(json.dumps(document).encode()))
+        decode_state(pack(document))
 
 
 def test_a_state_of_another_version_says_so(monkeypatch):
     """The versions of both ends are in the fault."""
     monkeypatch.setattr(offers, "VERSION", 9)
-    data = encode_state(EndState(session="0" * 16, number=1, arpd="9.9"))
+    data = encode_state(EndState(session="0" * 16, serial=1, arpd="9.9"))
     monkeypatch.undo()
     with pytest.raises(OtherVersionError, match=rf"version 9 \(arpd 9.9\), this end version {offers.VERSION}"):
         decode_state(data)
@@ -117,11 +117,11 @@ def test_a_state_of_another_version_says_so(monkeypatch):
 
 def test_a_state_that_is_nested_without_end_is_refused():
     """Brackets by the hundred thousand are no state, and end nothing."""
-    with pytest.raises(ValueError, match="nested"):
-        decode_state(zlib.compress(b"[" * 100_000))
+    with pytest.raises(ValueError, match="recursion"):
+        decode_state(b'{"topics":' + b"[" * 100_000)
 
 
 def test_a_state_that_would_fill_the_memory_is_refused():
     """A few bytes that decompress to gigabytes are no state."""
     with pytest.raises(ValueError, match="more than"):
-        decode_state(zlib.compress(b" " * 10_000_000))
+        decode_state(pack(" " * 10_000_000))

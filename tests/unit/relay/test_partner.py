@@ -10,7 +10,7 @@ def in_force(partner):
 
 
 def state(session, number=1, host=""):
-    return EndState(session=session, number=number, host=host)
+    return EndState(session=session, serial=number, host=host)
 
 
 def heard(partner, *sessions, from_s, to_s):
@@ -29,7 +29,7 @@ def test_the_newest_state_of_a_session_counts():
     partner.hear("a", 0.0, state("a", 2))
     partner.hear("a", 0.1, state("a", 1))
     partner.look(0.1)
-    assert in_force(partner).number == 2
+    assert in_force(partner).serial == 2
 
 
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():

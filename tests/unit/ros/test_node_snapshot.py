@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapPhase, SwapRecord, WithheldCause
 from arpd.model.plan import PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.relay.ends.summary import topics_of
 from arpd.relay.offers import EndState, ServiceOffer, TopicOffer
+from arpd.relay.status import topics_of
 from arpd.ros.documents import expand
 from arpd.ros.node_snapshot import JOINED, LIKELY, MOST_BYTES, MOST_OF_NODE, encode_snapshot
 from arpd.ros.snapshot_decoder import _Publishers, decode_snapshot
@@ -254,14 +254,14 @@ def test_each_refusal_counts_in_its_direction():
     """An end refuses what enters its side, or, where nobody offers that there, what leaves it."""
     here = EndState(
         session="1",
-        number=1,
+        serial=1,
         topics=offer("/imu", "/odd"),
         wants=frozenset({"/cmd", "/gone"}),
         refused={"/cmd": "a", "/odd": "b", "/plan": "c"},
     )
     there = EndState(
         session="2",
-        number=1,
+        serial=1,
         topics=offer("/cmd", "/goal"),
         services={"/plan": ServiceOffer(type_name="s/srv/S", node="/n")},
         wants=frozenset({"/imu"}),
