@@ -112,10 +112,6 @@ class Rcl:
         """Return what publishes serialized samples through a publisher's handle."""
         return Outlet(handle, self._publish, self.error)
 
-    def publish(self, handle: Any, sample: bytes) -> None:
-        """Publish one serialized sample as an `Outlet` does."""
-        self.outlet(handle).publish(sample)
-
     def add_graph_guard(self, node: int, wait_set: int) -> None:
         """Let a wait set wait for changes of the graph that a node sees; both are pointers."""
         self._add_guard(wait_set, self._graph_guard(node), None)

@@ -6,7 +6,6 @@ import logging
 import math
 import os
 import signal
-import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from arpd.model.errors import GET_ROS, RosUnavailableError
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Iterator, MutableMapping
 
     from arpd.host.addresses import Addresses
@@ -134,30 +134,6 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
                 environment.pop(name, None)
             else:
                 environment[name] = value
-
-
-@contextmanager
-def spinning(executor: Any) -> Iterator[None]:
-    """Spin an executor in a thread of its own, past callbacks that fail; leaving the block ends the thread."""
-    stopping = threading.Event()
-
-    def spin() -> None:
-        while not stopping.is_set():
-            try:
-                executor.spin_once(timeout_sec=0.2)  # spin() of EventsExecutor would busy-loop in rclpy 7.1.6
-            except Exception:
-                if not stopping.is_set():
-                    log.exception("a callback failed; the node continues")
-
-    thread = threading.Thread(target=spin, name="arpd-ros", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stopping.set()
-        executor.wake()
-        thread.join(timeout=2.0)
-        executor.shutdown(timeout_sec=1.0)
 
 
 def serve_until(

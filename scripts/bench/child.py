@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import queue
 import subprocess
@@ -15,10 +16,13 @@ from typing import TYPE_CHECKING, Any
 from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from scripts.netns.namespaces import HostName
     from scripts.netns.simlink import SimLink
+
+
+log = logging.getLogger(__name__)
 
 
 class ChildError(Exception):
@@ -148,3 +152,27 @@ def sample_of(number: int, payload_bytes: int) -> bytes:
 def number_of(sample: bytes) -> int:
     """Return the number in a sample `sample_of` made."""
     return int(sample[8:18])
+
+
+@contextlib.contextmanager
+def spinning(executor: Any) -> Iterator[None]:
+    """Spin an executor in a thread of its own, past callbacks that fail; leaving the block ends the thread."""
+    stopping = threading.Event()
+
+    def spin() -> None:
+        while not stopping.is_set():
+            try:
+                executor.spin_once(timeout_sec=0.2)  # spin() of EventsExecutor would busy-loop in rclpy 7.1.6
+            except Exception:
+                if not stopping.is_set():
+                    log.exception("a callback failed; the node continues")
+
+    thread = threading.Thread(target=spin, name="spinning", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        executor.wake()
+        thread.join(timeout=2.0)
+        executor.shutdown(timeout_sec=1.0)

@@ -338,7 +338,7 @@ class Process:
             # Only where nothing is read: an executor would take the samples.
             from rclpy.executors import SingleThreadedExecutor
 
-            from arpd.ros.runtime import spinning
+            from scripts.bench.child import spinning
 
             executor = SingleThreadedExecutor()
             executor.add_node(node)

@@ -20,7 +20,7 @@ class Ros:
     def node(self, name, executor=None, **options):
         from rclpy.executors import SingleThreadedExecutor
 
-        from arpd.ros.runtime import spinning
+        from scripts.bench.child import spinning
 
         node = rclpy.create_node(name, context=self.context, **options)
         chosen = executor or SingleThreadedExecutor(context=self.context)

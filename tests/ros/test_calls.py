@@ -37,7 +37,8 @@ from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
 from arpd.relay.offers import ServiceOffer
 from arpd.relay.selection import Side
 from arpd.ros.raw_reader import ReadingThread
-from arpd.ros.runtime import prepare_environment, spinning
+from arpd.ros.runtime import prepare_environment
+from scripts.bench.child import spinning
 from tests.ros.domain import DOMAIN
 
 pytestmark = pytest.mark.ros

@@ -21,7 +21,8 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.ros.runtime import prepare_environment, spinning
+from arpd.ros.runtime import prepare_environment
+from scripts.bench.child import spinning
 from tests.ros.domain import DOMAIN
 from tests.waiting import eventually
 

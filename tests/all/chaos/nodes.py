@@ -17,7 +17,7 @@ from dataclasses import replace
 from arpd.endpoint.writer import RosWriter
 from arpd.endpoint.writer_swap import SwapState, WriterSwap
 from arpd.ros import rmw
-from scripts.bench.child import answer, commands, number_of, sample_of
+from scripts.bench.child import answer, commands, number_of, sample_of, spinning
 
 RATE_HZ = 20.0
 BASELINE_DEPTH = 60
@@ -105,7 +105,7 @@ def obey_aside(stops):
 def spun(name):
     from rclpy.executors import SingleThreadedExecutor
 
-    from arpd.ros.runtime import ros_node, spinning
+    from arpd.ros.runtime import ros_node
 
     with ros_node(name) as node:
         executor = SingleThreadedExecutor()

@@ -26,8 +26,8 @@ from std_msgs.msg import String
 
 from arpd.model.plan import PlanAnswer, TopicPlan
 from arpd.ros.graph import deadline_ns_of
-from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment, spinning
-from scripts.bench.child import number_of, sample_of
+from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment
+from scripts.bench.child import number_of, sample_of, spinning
 from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
 from tests.ros.announced import Announced
 from tests.ros.plans import Plans
