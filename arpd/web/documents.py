@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from prometheus_client import generate_latest
@@ -99,7 +100,7 @@ class Documents:
 
     def _between_ticks(self, pieces: Iterable[bytes]) -> Iterator[bytes]:
         left_s = _PATIENCE_S
-        for piece in pieces:
+        for piece in chain((b"",), pieces):  # it waits before the first, too
             yield piece
             if left_s > 0 and not self._resting.is_set():
                 began_s = time.monotonic()

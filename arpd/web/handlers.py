@@ -13,7 +13,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 
 from arpd.web.access import client_of, is_own_name
 from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
-from arpd.web.tls import has_allowed_name
+from arpd.web.web_config import has_allowed_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -165,13 +165,12 @@ def web_config() -> Fuzzable:
     from arpd.web.web_config import load_protection
 
     seeds = (
-        b"tls_server_config: {cert_file: a.pem, key_file: a.key, min_version: TLS12}\n",
+        b"tls_server_config: {cert_file: a.pem, key_file: a.key}\n",
         b"basic_auth_users:\n  ops: $2b$12$CwTycUXWue0Thq9StjUM0uJ8vDqYPBlRgYFRQ0qVdCkXo6B6xkz5e\n",
-        b"http_server_config: {headers: {X-Frame-Options: deny}}\n",
     )
     words = (
         *("client_ca_file: ", "client_auth_type: ", "RequireAndVerifyClientCert", "client_allowed_sans: ["),
-        "max_version",
+        "cipher_suites",
     )
     return Fuzzable(feed=_feed_config(load_protection), seeds=seeds, words=words)
 

@@ -4,11 +4,7 @@ import { clock, minute, number } from "./fields.js";
 
 const MBIT = 8e-6;
 const LEAST_SPAN_S = 60; // of an axis that nobody chose
-const LEAST_ZOOM_S = 2;
-const HINT = matchMedia("(pointer: fine)").matches ? "drag over a chart to look closer" : "";
 const OUTAGE = "outage";
-
-const scaled = (scale) => (value) => (value === null || value === undefined ? null : value * scale);
 
 // The series of each chart: the key in the history's columns, and the same value of a status document.
 const CHARTS = [
@@ -98,15 +94,12 @@ export class Charts {
     this.choice = section.querySelector("select");
     this.past = null;
     this.plots = new Map();
-    this.shown = { spanS: 600 }; // or { from, to } while somebody looks at a part
     this.choice.addEventListener("change", () => this.draw());
     this.spans = [...section.querySelectorAll("[data-span]")];
-    for (const button of this.spans) button.addEventListener("click", () => this.#show({ spanS: Number(button.dataset.span) }));
-    this.#show(this.shown);
+    for (const button of this.spans) button.addEventListener("click", () => this.#show(Number(button.dataset.span)));
+    this.#show(600);
     new ResizeObserver(() => this.#resize()).observe(section);
-    for (const query of ["(prefers-color-scheme: dark)", "(prefers-contrast: more)"]) {
-      matchMedia(query).addEventListener("change", () => this.#rebuild());
-    }
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#rebuild());
   }
 
   /** Take a history document whole. */
@@ -140,7 +133,7 @@ export class Charts {
     if (past === null || past.times.length < 2) return;
     for (const chart of CHARTS) {
       const isShown = (index) => !chart.notInOutages || past.states[index] !== OUTAGE;
-      const column = (one) => past.columns.get(one.key).map((value, index) => (isShown(index) ? scaled(chart.scale)(value) : null));
+      const column = (one) => past.columns.get(one.key).map((value, index) => (value !== null && isShown(index) ? value * chart.scale : null));
       this.#draw(chart, chart.series.map(column));
     }
     const topic = past.topics.get(this.choice.value);
@@ -161,8 +154,6 @@ export class Charts {
   }
 
   #options(chart) {
-    const colors = getComputedStyle(document.documentElement);
-    const color = (name) => colors.getPropertyValue(name).trim();
     const [lowest, highest] = chart.powers ?? [];
     const linear = { range: (_plot, _least, most) => [0, chart.most ?? Math.max(chart.least, (most ?? 0) * 1.08)] };
     const logarithmic = {
@@ -171,15 +162,14 @@ export class Charts {
       clamp: lowest,
     };
     const powers = { splits: (_plot, _axis, least, most) => powersOfTen(least, most), filter: (_plot, splits) => splits };
-    const axis = { stroke: color("--muted"), font: "12px system-ui", grid: { stroke: color("--grid"), width: 1 }, ticks: { show: false } };
+    const axis = { stroke: color(this.section, "--muted"), font: "12px system-ui", grid: { stroke: color(this.section, "--grid"), width: 1 }, ticks: { show: false } };
     const value = (_plot, number_) => (number_ === null || number_ === undefined ? "–" : `${number(number_)} ${chart.unit}`);
     return {
       ...size(document.getElementById(`chart-${chart.id}`)),
       cursor: {
         sync: { key: "arpd", filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
-        drag: { setScale: false, x: true, y: false },
+        drag: { x: false, y: false },
         points: { size: 7 },
-        bind: { dblclick: () => () => this.#show({ spanS: this.past.spanS }) },
       },
       scales: {
         x: { range: () => this.#range() },
@@ -193,8 +183,8 @@ export class Charts {
         { label: "time", value: (_plot, at) => (at ? clock(at) : "–") },
         ...chart.series.map((one) => ({
           label: one.name,
-          stroke: color(one.color),
-          fill: one.filled ? `${color(one.color)}2e` : undefined,
+          stroke: color(this.section, one.color),
+          fill: one.filled ? `color-mix(in srgb, ${color(this.section, one.color)} 18%, transparent)` : undefined,
           width: one.width ?? 1.5,
           dash: one.dash,
           paths: one.stepped ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
@@ -204,34 +194,21 @@ export class Charts {
         })),
       ],
       hooks: {
-        setSelect: [(plot) => this.#zoom(plot)],
-        drawClear: [(plot) => this.#mark(plot, color("--outage"), color("--muted"))],
+        drawClear: [(plot) => this.#mark(plot, color(this.section, "--outage"), color(this.section, "--muted"))],
       },
     };
   }
 
-  /** The times that all charts show: the last ones, or a part that stays while new samples come. */
+  /** The times that all charts show: the last ones. */
   #range() {
-    const { from, to, spanS } = this.shown;
-    if (from !== undefined) return [from, to];
     const { times } = this.past;
     const last = times.at(-1);
-    return [Math.max(last - spanS, Math.min(times[0], last - Math.min(spanS, LEAST_SPAN_S))), last];
+    return [Math.max(last - this.spanS, Math.min(times[0], last - LEAST_SPAN_S)), last];
   }
 
-  #zoom(plot) {
-    const { left, width } = plot.select;
-    if (width === 0) return;
-    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
-    const [from, to] = [left, left + width].map((x) => plot.posToVal(x, "x"));
-    if (to - from >= LEAST_ZOOM_S) this.#show({ from, to });
-  }
-
-  #show(shown) {
-    this.shown = shown;
-    for (const button of this.spans) button.ariaPressed = String(Number(button.dataset.span) === shown.spanS);
-    const { from, to } = shown;
-    document.getElementById("shown").textContent = from === undefined ? HINT : `${clock(from)} to ${clock(to)}`;
+  #show(spanS) {
+    this.spanS = spanS;
+    for (const button of this.spans) button.ariaPressed = String(Number(button.dataset.span) === spanS);
     this.draw();
   }
 
@@ -264,6 +241,12 @@ export class Charts {
     this.plots.clear();
     this.draw();
   }
+}
+
+/** A colour of the stylesheet, as it is in the light or the dark scheme. */
+function color(element, name) {
+  element.style.caretColor = `var(${name})`;
+  return getComputedStyle(element).caretColor;
 }
 
 function powersOfTen(least, most) {

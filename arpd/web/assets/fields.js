@@ -6,12 +6,6 @@
 // Names and reasons come from the network, so they are only set as text.
 
 const NONE = "–";
-const EVIDENCE = {
-  peer: "the peer",
-  local: "the interface's own queue",
-  radio: "the radio's bit rate",
-  configured: "the configuration",
-};
 const STATES = { app_limited: "not filled" };
 const SEVERITIES = { info: "", warning: "Warning:", error: "Error:" };
 
@@ -59,7 +53,6 @@ export const FORMATS = {
       .join(", "),
   list: (value) => (Array.isArray(value) ? value.map(words).join(", ") : NONE),
   time: (value) => (isNone(value) ? NONE : clock(value)),
-  evidence: named(EVIDENCE),
   state: named(STATES),
   severity: named(SEVERITIES),
 };

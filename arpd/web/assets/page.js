@@ -7,7 +7,7 @@ import { Topics } from "./topics.js";
 const PERIOD_MS = 1000;
 const TIMEOUT_MS = 4000;
 const HISTORY_TIMEOUT_MS = 10000; // it is large
-const MOST_HISTORY_PAUSE_MS = 60000;
+const HISTORY_PAUSE_MS = 10000; // after a failure
 const STALE_S = 3; // STALE_AFTER_S of arpd/report/situation.py
 const GAP_S = 5; // shorter gaps stay in the charts
 
@@ -24,7 +24,6 @@ let timer = 0; // of the next question
 let hasHistory = false;
 let isLoading = false; // the history
 let nextHistoryMs = 0;
-let historyPauseMs = PERIOD_MS; // after the next failure
 
 async function ask(path, timeoutMs = TIMEOUT_MS) {
   const answer = await fetch(path, { cache: "no-cache", signal: AbortSignal.timeout(timeoutMs) });
@@ -53,14 +52,9 @@ async function loadHistory() {
   isLoading = true;
   const history = await ask("api/v1/history", HISTORY_TIMEOUT_MS).catch(() => null);
   isLoading = false;
-  if (history === null) {
-    nextHistoryMs = performance.now() + historyPauseMs;
-    historyPauseMs = Math.min(2 * historyPauseMs, MOST_HISTORY_PAUSE_MS);
-    return;
-  }
-  hasHistory = true;
-  historyPauseMs = PERIOD_MS;
-  charts.load(history);
+  nextHistoryMs = performance.now() + (history === null ? HISTORY_PAUSE_MS : 0);
+  hasHistory = history !== null;
+  if (hasHistory) charts.load(history);
 }
 
 /** Ask once, and again a second later; nobody asks while nobody looks. */
@@ -101,5 +95,4 @@ function announce(headline) {
 }
 
 document.addEventListener("visibilitychange", () => (document.hidden ? clearTimeout(timer) : look()));
-addEventListener("online", look);
 look();

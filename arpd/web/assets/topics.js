@@ -1,4 +1,4 @@
-// Sorts the table of topics by a column, and finds rows by words. The choice stays in the address of the page.
+// Sorts the table of topics by a column, and finds rows by words.
 
 import { valueAt } from "./fields.js";
 
@@ -12,15 +12,11 @@ export class Topics {
     this.input = section.querySelector("#find");
     this.found = section.querySelector("#found");
     this.redraw = redraw;
-    const chosen = new URLSearchParams(location.search);
-    this.input.value = chosen.get("find") ?? "";
-    const sort = chosen.get("sort") ?? "";
-    this.falls = sort.startsWith("-");
-    const path = sort.replace("-", "");
-    this.path = this.heads.some((head) => head.dataset.sort === path) ? path : "topic";
+    this.falls = false;
+    this.path = "topic";
     rows.arrange = (topics) => this.#arranged(topics);
     for (const head of this.heads) head.querySelector("button").addEventListener("click", () => this.#sortBy(head.dataset.sort));
-    this.input.addEventListener("input", () => this.#show());
+    this.input.addEventListener("input", redraw);
     this.#mark();
   }
 
@@ -42,16 +38,7 @@ export class Topics {
   #sortBy(path) {
     this.falls = path === this.path ? !this.falls : path !== "topic";
     this.path = path;
-    this.#show();
-  }
-
-  #show() {
     this.#mark();
-    const chosen = new URLSearchParams(location.search);
-    const put = (name, value) => (value ? chosen.set(name, value) : chosen.delete(name));
-    put("find", this.input.value.trim());
-    put("sort", this.path === "topic" && !this.falls ? "" : `${this.falls ? "-" : ""}${this.path}`);
-    history.replaceState(null, "", `${location.pathname}${chosen.size > 0 ? `?${chosen}` : ""}${location.hash}`);
     this.redraw();
   }
 

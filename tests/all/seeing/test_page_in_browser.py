@@ -45,7 +45,7 @@ class Daemon:
 
     def start(self, port=0, **options):
         self.server = HttpServer(
-            HttpSettings(port=port, web_config=options.pop("web_config", "none")),
+            HttpSettings(port=port, web_config=options.pop("web_config", None)),
             snapshot=lambda: self.snapshot,
             history=self.history,
             clock=lambda: FINISHED_AT_S + self.late_s,
@@ -89,7 +89,7 @@ def test_the_document_stands_in_its_places(daemon, browser):
         assert verdict.startswith("The link is the limit")
         assert any("line 3" in notice for notice in seen.texts(".notice[data-mark=error]"))
         tiles = " ".join(seen.texts(".tiles > div"))
-        assert "Capacity 4.00 Mbit/s from the peer: 3 trains, median 500 kB/s" in tiles
+        assert "Capacity 4.00 Mbit/s peer: 3 trains, median 500 kB/s" in tiles
         assert "Cross traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in tiles
         assert "2 of 3 publishers confirmed" in tiles
         image, command, *_ = seen.texts("#topics tbody tr")

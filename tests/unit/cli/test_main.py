@@ -211,5 +211,5 @@ def test_check_reads_the_web_config_too(run, tmp_path):
         code, out, err = run("check", "--no-interfaces", path)
         assert (code, out) == (78, "")
         assert err.startswith(f"{tmp_path}/web.yaml:{wrong}")
-    (tmp_path / "web.yaml").write_text("http_server_config: {}")
+    (tmp_path / "web.yaml").write_text("basic_auth_users: {}")
     assert run("check", "--no-interfaces", path)[0] == 0
