@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from arpd.model.quantities import shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Container, Mapping
+    from collections.abc import Container, Mapping
+    from collections.abc import Set as AbstractSet
 
     from arpd.model.endpoints import PublisherState
     from arpd.model.link import LinkEstimate, LinkState
@@ -71,7 +72,7 @@ class Sample:
     unix_time_s : wall clock at the same moment (s)
     link : the link
     slots : slot of each publisher in the rates
-    rates_hz : ceiling, published, source and paced rate of each slot, NaN without one, ``inf`` = unpaced (Hz)
+    rates_hz : ceiling, published, source and paced rate of each slot, NaN = not planned, ``inf`` = unpaced (Hz)
     omitted : live publishers without a slot
     """
 
@@ -97,7 +98,6 @@ class History:
     def __init__(self) -> None:
         self._samples: deque[Sample] = deque(maxlen=round(SPAN_S / PERIOD_S))
         self._slots: Mapping[TopicId, int] = MappingProxyType({})
-        self._seen_at_s: dict[TopicId, float] = {}
         self._due_s = -math.inf
 
     @property
@@ -114,12 +114,10 @@ class History:
         self._due_s = (now_s if is_late else self._due_s) + PERIOD_S
         publishers = {TopicId(p.topic, p.node): p for p in snapshot.observation.publishers}
         plan = snapshot.decision.plan.topics
-        self._give_slots(now_s, publishers, plan)
-        width = len(NO_RATES)
-        values = array("d", NO_RATES * (max(self._slots.values(), default=-1) + 1))
-        for identity, slot in self._slots.items():
-            if (publisher := publishers.get(identity)) is not None:
-                values[slot * width : (slot + 1) * width] = _rates(publisher, plan.get(identity.topic))
+        self._give_slots(publishers.keys(), plan)
+        values = array("d")
+        for identity in self._slots:
+            values.extend(_rates(publishers[identity], plan.get(identity.topic)))
         self._samples.append(
             Sample(
                 at_s=now_s,
@@ -127,37 +125,25 @@ class History:
                 link=_link(snapshot.link, snapshot),
                 slots=self._slots,
                 rates_hz=values,
-                omitted=sum(identity not in self._slots for identity in publishers),
+                omitted=len(publishers) - len(self._slots),
             )
         )
 
-    def _give_slots(self, now_s: float, live: Collection[TopicId], planned: Container[str]) -> None:
-        """Give new publishers slots, planned ones first; a publisher keeps its slot for a span after it has left."""
-        self._seen_at_s.update((identity, now_s) for identity in live if identity in self._slots)
-        gone = {identity for identity, seen_s in self._seen_at_s.items() if now_s - seen_s > SPAN_S}
-        room = MOST_TOPICS - len(self._slots) + len(gone)
-        wanted = [identity for identity in live if identity not in self._slots] if room else []
-        if not gone and not wanted:
-            return
-        kept = {identity: slot for identity, slot in self._slots.items() if identity not in gone}
-        free = iter(sorted(set(range(MOST_TOPICS)) - set(kept.values())))
-        for identity in sorted(wanted, key=lambda identity: (identity.topic not in planned, identity))[:room]:
-            kept[identity] = next(free)
-            self._seen_at_s[identity] = now_s
-        for identity in gone:
-            del self._seen_at_s[identity]
-        self._slots = MappingProxyType(kept)
+    def _give_slots(self, live: AbstractSet[TopicId], planned: Container[str]) -> None:
+        """Give the publishers slots: those that have one first, then planned ones; the same again where all stay."""
+        kept = [identity for identity in self._slots if identity in live]
+        new = sorted(live - self._slots.keys(), key=lambda identity: (identity.topic not in planned, identity))
+        given = [*kept, *new][:MOST_TOPICS]
+        if given != [*self._slots]:
+            self._slots = MappingProxyType({identity: slot for slot, identity in enumerate(given)})
 
 
-def _rates(publisher: PublisherState, planned: TopicPlan | None) -> array[float]:
-    return array(
-        "d",
-        (
-            math.nan if planned is None else shortened(planned.rate_hz),
-            shortened(publisher.published_rate_hz),
-            shortened(publisher.source_rate_hz),
-            shortened(publisher.paced_rate_hz),
-        ),
+def _rates(publisher: PublisherState, planned: TopicPlan | None) -> tuple[float, ...]:
+    return (
+        math.nan if planned is None else shortened(planned.rate_hz),
+        shortened(publisher.published_rate_hz),
+        shortened(publisher.source_rate_hz),
+        shortened(publisher.paced_rate_hz),
     )
 
 

@@ -335,9 +335,8 @@ def status_line(snapshot: Snapshot | None) -> str:
     # Judged whole only while nothing is planned: such a judgement reads every topic.
     found = lasting(snapshot) if snapshot.managed else judge(snapshot).findings
     phrases = {finding.condition: finding.phrase for finding in found}
-    if (other := phrases.get(Condition.STANDING_BY)) is not None:
-        return other
-    waits = phrases.pop(Condition.MEASURING, "") or phrases.pop(Condition.NOTHING_TO_MANAGE, "")
+    first = (Condition.STANDING_BY, Condition.MEASURING, Condition.NOTHING_TO_MANAGE)
+    waits = next((phrases[condition] for condition in first if condition in phrases), "")
     faults = [phrase for condition, phrase in phrases.items() if _RANK[condition] > _RANK[Condition.CLEAR]]
     return "; ".join(filter(None, [_interface_fault(snapshot), waits or _figures(snapshot), *faults]))
 

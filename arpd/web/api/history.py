@@ -113,11 +113,13 @@ def history_json(samples: Sequence[Sample], logged: Sequence[events.Event]) -> I
 def _topics(samples: Sequence[Sample]) -> Iterator[Topic]:
     """Yield the topics; numbers come checked from `arpd.report.history`, and JSON says NaN and infinity as null."""
     width = len(RATE_SERIES)
-    for identity in sorted(samples[-1].slots) if samples else ():
-        slots = (sample.slots.get(identity) for sample in samples)
+    slots_of_all = {id(sample.slots): sample.slots for sample in reversed(samples)}.values()  # they change rarely
+    identities = dict.fromkeys(identity for slots in slots_of_all for identity in slots)
+    for identity in sorted([*identities][:MOST_TOPICS]):
+        own = (sample.slots.get(identity) for sample in samples)
         rows = [
             NO_RATES if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
-            for sample, slot in zip(samples, slots, strict=True)
+            for sample, slot in zip(samples, own, strict=True)
         ]
         series: dict[str, Any] = {name: [row[number] for row in rows] for number, name in enumerate(RATE_SERIES)}
         yield Topic.model_construct(topic=identity.topic, node=identity.node, **series)

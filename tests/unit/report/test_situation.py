@@ -153,8 +153,11 @@ def test_a_peer_that_was_there_is_missed_until_one_reports():
 
 
 def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
-    """A daemon that stands by says only that."""
-    assert "robot-2" in status_line(changed(observation={"active_daemon": "robot-2"}))
+    """A daemon that stands by says so instead of link and plan, and hides no fault."""
+    spare = status_line(changed(observation={"active_daemon": "robot-2"}, config_error="a.yaml:1:1: x"))
+    assert spare.startswith("standing by: another arpd daemon, on robot-2")
+    assert "reload refused: a.yaml:1:1: x" in spare
+    assert "Mbit/s" not in spare
     told = status_line(changed())
     for number in ("4.0 Mbit/s", "peer", "steady", "0.5 cross", "75 %", "plan 3", "2 of 3"):
         assert number in told
