@@ -7,7 +7,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from arpd.cli.checkup import badness, fine, unknown, wrong
-from arpd.host import kernel, wireless
+from arpd.host import kernel, radio
 from arpd.model.quantities import format_duration, format_number
 from arpd.model.wire import MTU_BYTES, PACKET_BYTES
 from arpd.report.wording import count, listed
@@ -33,7 +33,7 @@ _FOLLOW_THE_CLOCK = (
     "chrony   # without internet, on the robot"
 )
 _BY_NETWORK_MANAGER = (
-    "printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee /etc/NetworkManager/conf.d/zz-no-powersave.conf"
+    "printf '[connection]\\nradio.powersave = 2\\n' | sudo tee /etc/NetworkManager/conf.d/zz-no-powersave.conf"
 )
 # udev knows the name that an interface gets from rule 80-net-setup-link on; NAME matches only those that are renamed.
 _BY_UDEV = (
@@ -76,13 +76,13 @@ def _clock_of(peer: Peer) -> Finding:
 
 def power_save(here: Here) -> Finding:
     """Judge whether a radio sleeps between beacons."""
-    radios = wireless.radios_of(here.interface)
-    for radio in radios:
-        if wireless.power_save(radio):
-            lasting = _BY_NETWORK_MANAGER if wireless.runs_network_manager() else _BY_UDEV
+    radios = radio.radios_of(here.interface)
+    for name in radios:
+        if radio.power_save(name):
+            lasting = _BY_NETWORK_MANAGER if radio.runs_network_manager() else _BY_UDEV
             return wrong(
-                f"{radio} saves power: the access point holds its packets until the next beacon, 100 ms and more",
-                f"sudo iw dev {quote(radio)} set power_save off",
+                f"{name} saves power: the access point holds its packets until the next beacon, 100 ms and more",
+                f"sudo iw dev {quote(name)} set power_save off",
                 f"{lasting}   # from the next start",
             )
     return fine(f"{listed(radios)} does not save power" if radios else f"{here.interface} has no radio")
@@ -90,7 +90,7 @@ def power_save(here: Here) -> Finding:
 
 def signal(here: Here) -> Finding | None:
     """Judge the strength of the signal."""
-    signals = {radio: wireless.signal(radio) for radio in wireless.radios_of(here.interface)}
+    signals = {name: radio.signal(name) for name in radio.radios_of(here.interface)}
     if not signals:
         return None
     weakest = min(signals, key=signals.__getitem__)
@@ -106,7 +106,7 @@ def signal(here: Here) -> Finding | None:
 
 def region(here: Here) -> Finding | None:
     """Judge the regulatory domain."""
-    regions = [wireless.region(radio) for radio in wireless.radios_of(here.interface)]
+    regions = [radio.region(name) for name in radio.radios_of(here.interface)]
     if _WORLD not in regions:
         return fine(f"the regulatory domain is {listed(regions)}") if regions else None
     return wrong(

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
+
 from arpd.host.interface import index_of, ipv4_addresses
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import printable
@@ -33,7 +35,6 @@ _PACKET_INFO = struct.Struct("i4s4s")  # interface, its address, destination (ip
 _MOST_PARTICIPANTS = 1000
 _MOST_NAME = 60
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
-_PROC = Path("/proc")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,12 +84,10 @@ class DiscoveryEar:
     Parameters
     ----------
     own_addresses : addresses of this computer
-    proc : folder where the kernel lists this computer's processes
     """
 
-    def __init__(self, own_addresses: frozenset[str], *, proc: Path = _PROC) -> None:
+    def __init__(self, own_addresses: frozenset[str]) -> None:
         self._own = own_addresses
-        self._proc = proc
         self._participants: dict[bytes, _Participant] = {}
         self._bytes = 0
 
@@ -99,8 +98,9 @@ class DiscoveryEar:
         if participant is None or len(self._participants) >= _MOST_PARTICIPANTS:
             return
         known = self._participants.setdefault(participant, _Participant(sender))
-        known.properties.update(announced_properties(packet))
-        known.transports.update(announced_transports(packet))
+        properties, transports = announced(packet)
+        known.properties.update(properties)
+        known.transports.update(transports)
 
     def heard(self, *, domain_id: int, elapsed_s: float) -> HeardDiscovery:
         """Return everything that was heard in a time (s)."""
@@ -115,7 +115,7 @@ class DiscoveryEar:
         is_here = one.address in self._own
         host = one.properties.get(_HOST, "").rpartition(":")[0] or one.address
         number = one.properties.get(_PROCESS, "")
-        command = self._command(number) if is_here and number.isdecimal() else ()
+        command = _command(number) if is_here and number.isdecimal() else ()
         return Announcer(
             host=host,
             process=command_name(command) or f"process {number or 'unknown'}",
@@ -124,12 +124,13 @@ class DiscoveryEar:
             transports=frozenset(one.transports),
         )
 
-    def _command(self, number: str) -> tuple[str, ...]:
-        try:
-            words = (self._proc / number / "cmdline").read_bytes().decode(errors="replace").split("\0")
-        except OSError:
-            return ()
-        return tuple(printable(word, longest=_MOST_NAME) for word in words if word)
+
+def _command(number: str) -> tuple[str, ...]:
+    try:
+        words = psutil.Process(int(number)).cmdline()
+    except (psutil.Error, OverflowError):
+        return ()
+    return tuple(printable(word, longest=_MOST_NAME) for word in words if word)
 
 
 def command_name(command: tuple[str, ...]) -> str:
@@ -155,27 +156,26 @@ def _program(command: tuple[str, ...]) -> str:
     return next((word for word in rest if not word.startswith("-") or word == "-c"), first)
 
 
-def announced_properties(packet: bytes) -> dict[str, str]:
-    """Return the properties in an announcement; Fast DDS tells host and process there. Empty if there are none."""
-    found: dict[str, str] = {}
+def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:
+    """Return what the sender of an announcement tells of itself: properties, among them host and process; transports.
+
+    The transports are those over which it takes part in discovery of topics; shared memory is not told.
+    """
+    properties: dict[str, str] = {}
+    transports: set[str] = set()
     with suppress(struct.error, IndexError, UnicodeDecodeError):
-        for order, value in _parameters(packet, _PROPERTY_LIST):
-            found.update(_pairs(value, order))
-    return found
+        for parameter, order, value in _parameters(packet):
+            if parameter == _PROPERTY_LIST:
+                properties.update(_pairs(value, order))
+            elif (
+                parameter == _METATRAFFIC_LOCATOR and (kind := struct.unpack_from(f"{order}i", value)[0]) in _TRANSPORTS
+            ):
+                transports.add(_TRANSPORTS[kind])
+    return properties, transports
 
 
-def announced_transports(packet: bytes) -> set[str]:
-    """Return over what the sender of an announcement takes part in discovery of topics; shared memory is not told."""
-    kinds: set[int] = set()
-    with suppress(struct.error, IndexError):
-        kinds.update(
-            struct.unpack_from(f"{order}i", value)[0] for order, value in _parameters(packet, _METATRAFFIC_LOCATOR)
-        )
-    return {_TRANSPORTS[kind] for kind in kinds if kind in _TRANSPORTS}
-
-
-def _parameters(packet: bytes, wanted: int) -> Iterator[tuple[str, bytes]]:
-    """Yield byte order and value of every parameter of one kind (OMG DDSI-RTPS 2.3, 9.4.2.11)."""
+def _parameters(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
+    """Yield kind, byte order and value of every parameter (OMG DDSI-RTPS 2.3, 9.4.2.11)."""
     for kind, order, body in _submessages(packet):
         if kind != _DATA:
             continue
@@ -184,8 +184,7 @@ def _parameters(packet: bytes, wanted: int) -> Iterator[tuple[str, bytes]]:
             parameter, length = struct.unpack_from(f"{order}HH", body, offset)
             if parameter == _SENTINEL:
                 break
-            if parameter == wanted:
-                yield order, body[offset + 4 : offset + 4 + length]
+            yield parameter, order, body[offset + 4 : offset + 4 + length]
             offset += 4 + length
 
 

@@ -8,6 +8,7 @@ import os
 import re
 import socket
 import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -226,19 +227,12 @@ class MemoryReader:
     def __init__(self, read: Callable[[], Any] = psutil.virtual_memory) -> None:
         self._read = read
         self._last = MemoryState(total_bytes=0, available_bytes=0)  # unknown, so plan for little
-        self._fault = ""
 
     def read(self) -> MemoryState:
         """Return the total memory and the memory available to new work."""
-        try:
+        with suppress(OSError, ValueError):
             memory = self._read()
-        except (OSError, ValueError) as error:
-            if (fault := str(error)) != self._fault:
-                self._fault = fault
-                log.warning("cannot read this host's memory (%s); arpd keeps the last values", fault)
-            return self._last
-        self._fault = ""
-        self._last = MemoryState(total_bytes=memory.total, available_bytes=memory.available)
+            self._last = MemoryState(total_bytes=memory.total, available_bytes=memory.available)
         return self._last
 
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from arpd.host.config.keys import keys_of, kinds_of
 from arpd.model.kinds import NONE
-from arpd.model.quantities import format_rate, printable, spell_duration, spell_size
+from arpd.model.quantities import format_rate, printable
+from arpd.model.settings import TopicSettings
 from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND
 
 if TYPE_CHECKING:
@@ -127,23 +129,11 @@ def _of_robot(link: LinkChoice) -> str:
 
 def _entry(topic: TopicGuess) -> Mapping[str, Any]:
     """Return one item of `topics`."""
-    entry: dict[str, Any] = {"name": topic.name, "weight": _number(topic.weight)}
-    entry["min_rate_hz"] = _number(topic.min_rate_hz)
-    if topic.max_rate_hz is not None:
-        entry["max_rate_hz"] = _number(topic.max_rate_hz)
-    if topic.max_depth is not None:
-        entry["max_depth"] = topic.max_depth
-    if topic.latency_budget_s is not None:
-        entry["latency_budget"] = spell_duration(topic.latency_budget_s)
-    if topic.payload_bytes is not None:
-        entry["payload"] = spell_size(topic.payload_bytes)
-    if topic.source_rate_hz is not None:
-        entry["source_rate_hz"] = _number(topic.source_rate_hz)
-    return entry
-
-
-def _number(value: float) -> float | int:
-    return int(value) if value == int(value) else value
+    kinds = kinds_of(TopicSettings)
+    guessed = {key: getattr(topic, attribute, None) for key, (attribute, _) in keys_of(TopicSettings).items()}
+    written = {key: kinds[key].write(value) for key, value in guessed.items() if value is not None}
+    whole = {key: int(value) for key, value in written.items() if isinstance(value, float) and value.is_integer()}
+    return {"name": topic.name} | written | whole
 
 
 def _yaml(value: Any) -> list[str]:

@@ -45,12 +45,12 @@ def test_only_a_clock_that_is_surely_off_is_wrong(offset_s, uncertainty_s, healt
 def radio(monkeypatch, **changes):
     """Return what is judged of two radios, one of them well."""
     told = {"power_save": False, "signal": -50, "region": "DE"} | changes
-    monkeypatch.setattr(checks_link.wireless, "radios_of", lambda _interface: ["wlan0", "wlan1"])
-    monkeypatch.setattr(checks_link.wireless, "runs_network_manager", lambda: False)
+    monkeypatch.setattr(checks_link.radio, "radios_of", lambda _interface: ["wlan0", "wlan1"])
+    monkeypatch.setattr(checks_link.radio, "runs_network_manager", lambda: False)
     for name, value in told.items():
         well = {"power_save": False, "signal": -50, "region": "DE"}[name]
         monkeypatch.setattr(
-            checks_link.wireless, name, lambda radio, value=value, well=well: value if radio == "wlan0" else well
+            checks_link.radio, name, lambda radio, value=value, well=well: value if radio == "wlan0" else well
         )
     return {check.__name__: check(SimpleNamespace(interface="wg0")) for check in (power_save, signal, region)}
 

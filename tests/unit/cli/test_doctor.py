@@ -43,8 +43,8 @@ def computer(monkeypatch):
         installed_distros=lambda: ["jazzy"],
     )
     change(checks_link.kernel, read_mtu=lambda _name: 1500, route_mtu=lambda _address: None)
-    change(checks_link.wireless, radios_of=lambda _name: ["wlan0"], power_save=lambda _name: False)
-    change(checks_link.wireless, signal=lambda _name: -50, region=lambda _name: "DE")
+    change(checks_link.radio, radios_of=lambda _name: ["wlan0"], power_save=lambda _name: False)
+    change(checks_link.radio, signal=lambda _name: -50, region=lambda _name: "DE")
     monkeypatch.setenv("ROS_DISTRO", "jazzy")
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     return change
@@ -94,7 +94,7 @@ def test_an_ill_computer_shows_what_to_do(asked, computer):
     looping = ServiceState(is_installed=True, is_enabled=True, active="activating", sub="auto-restart")
     computer(checkup, service_states=lambda *_: {"arpd": looping})
     computer(checks_link.kernel, read_mtu=lambda _name: 1280)
-    computer(checks_link.wireless, power_save=lambda _name: True, region=refuse)
+    computer(checks_link.radio, power_save=lambda _name: True, region=refuse)
     with serving(json.dumps(status(offset_s=-1.5, lacks_profile=True))) as url:
         found = check_up(asked(url))
     by_health = {health: {about for about, each in healths(found).items() if each is health} for health in Health}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -12,8 +13,7 @@ from hypothesis import strategies as st
 
 from arpd.host.discovery import (
     DiscoveryEar,
-    announced_properties,
-    announced_transports,
+    announced,
     command_name,
     is_arpd,
     listen,
@@ -50,16 +50,15 @@ TOLD = {
 @given(st.binary(max_size=200), st.integers(0, 300))
 def test_no_packet_raises(tail, cut):
     """Whatever arrives at the port."""
-    for read in (announced_properties, announced_transports):
-        read(b"RTPS" + tail)
-        read(announcement(TOLD, kinds=(1, 4))[:cut] + tail)
+    announced(b"RTPS" + tail)
+    announced(announcement(TOLD, kinds=(1, 4))[:cut] + tail)
 
 
 @given(st.sets(st.sampled_from([1, 2, 4, 8, 16])))
 def test_transports_are_those_of_the_locators_for_discovery(kinds):
     """Shared memory, which serves one computer only, is none of them."""
     names = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}
-    assert announced_transports(announcement(TOLD, kinds=kinds)) == {names[kind] for kind in kinds if kind in names}
+    assert announced(announcement(TOLD, kinds=kinds))[1] == {names[kind] for kind in kinds if kind in names}
 
 
 @pytest.mark.parametrize(
@@ -81,11 +80,11 @@ def test_a_process_is_named_by_its_command(command, name, is_arpds):
     assert (command_name(command), is_arpd(command)) == (name, is_arpds)
 
 
-def test_participants_are_counted_once_and_named(tmp_path):
+def test_participants_are_counted_once_and_named(monkeypatch):
     """Own ones by their commands, others by what they tell of their hosts, or by their addresses."""
-    (tmp_path / "4711").mkdir()
-    (tmp_path / "4711/cmdline").write_bytes(b"/bin/talker\0--ros-args\0")
-    ear = DiscoveryEar(frozenset({"10.0.0.1"}), proc=tmp_path)
+    commands = {4711: SimpleNamespace(cmdline=lambda: ["/bin/talker", "--ros-args"])}
+    monkeypatch.setattr("psutil.Process", commands.__getitem__)
+    ear = DiscoveryEar(frozenset({"10.0.0.1"}))
     ear.take(announcement(TOLD), "10.0.0.1")
     ear.take(announcement(TOLD), "10.0.0.1")
     ear.take(announcement(TOLD | {"fastdds.physical_data.host": "laptop:9"}, guid=b"\x02" * 12), "10.0.0.2")
