@@ -1,10 +1,9 @@
-"""The bottleneck of a simulated link: a queue with tail drop that sends transmissions, and a propagation delay."""
+"""The bottleneck of a simulated link: a queue with tail drop, and a propagation delay behind it."""
 
 from __future__ import annotations
 
-import math
+from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,33 +13,12 @@ if TYPE_CHECKING:
     from arpd.sim.service import Service
     from arpd.sim.timeline import Timeline
 
-MOST_AIR_S = 5.484e-3  # of one transmission: aPPDUMaxTime of IEEE 802.11 (HT and VHT)
 # Arrivals are counted when they are asked for, which may take an hour, or when there may be so many.
-_MOST_UNCOUNTED = 1000
+MOST_UNCOUNTED = 1000
 
 
-@dataclass(kw_only=True, slots=True)
-class _Datagram:
-    """One datagram; its packets wait in line, are on the air or have arrived.
-
-    Parameters
-    ----------
-    packet_bytes : size of each packet (bytes)
-    in_line : packets that wait
-    is_whole : True while all its packets were accepted and none was lost
-    """
-
-    packet_bytes: float
-    in_line: int
-    is_whole: bool
-    deliver: Callable[[], object]
-
-
-class Bottleneck:
-    """Queues, sends, delivers and counts datagrams, with one event for each transmission.
-
-    A transmission carries the packets that wait when it starts, up to ``aggregate_packets`` and up to the longest
-    transmission of 802.11. All of them arrive when it ends. An idle link does not wait for more packets.
+class Bottleneck(ABC):
+    """Queues, serves, delivers and counts datagrams.
 
     Parameters
     ----------
@@ -48,9 +26,7 @@ class Bottleneck:
     service : rate
     losses : decides which packets arrive
     delay_s : propagation delay (s)
-    room_bytes : most bytes that it holds, those on the air included (bytes)
-    overhead_s : time that every transmission takes before its first byte, at any rate (s)
-    aggregate_packets : most packets of one transmission
+    room_bytes : most bytes that it holds, those in service included (bytes)
 
     Attributes
     ----------
@@ -60,119 +36,101 @@ class Bottleneck:
     """
 
     def __init__(
-        self,
-        timeline: Timeline,
-        service: Service,
-        losses: Losses,
-        *,
-        delay_s: float,
-        room_bytes: int,
-        overhead_s: float,
-        aggregate_packets: int,
+        self, timeline: Timeline, service: Service, losses: Losses, *, delay_s: float, room_bytes: int
     ) -> None:
-        self._timeline, self._service, self._losses = timeline, service, losses
-        self._delay_s, self._room_bytes = delay_s, room_bytes
-        self._overhead_s, self._aggregate_packets = overhead_s, aggregate_packets
-        self._line: deque[_Datagram] = deque()
-        self._line_bytes, self._line_packets = 0.0, 0
-        self._on_air: list[tuple[_Datagram, int]] = []  # datagram and number of its packets
-        self._air_bytes = 0.0
-        self._air_served = 0.0  # bytes that the service can have carried when this transmission ends
-        self._air_until_s = -math.inf
-        self._arriving: deque[tuple[float, float, int]] = deque()  # when, bytes, packets
-        self._received_bytes, self._received_packets = 0.0, 0
-        self.accepted_bytes, self.accepted_packets = 0.0, 0
-        self.dropped_packets = self.lost_packets = 0
+        self._timeline = timeline
+        self._service = service
+        self._losses = losses
+        self._delay_s = delay_s
+        self._room_bytes = room_bytes
+        self._received_bytes = 0.0
+        self._received_packets = 0
+        self.accepted_bytes = 0.0
+        self.accepted_packets = 0
+        self.dropped_packets = 0
+        self.lost_packets = 0
 
+    @abstractmethod
     def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Queue a datagram; return when all of it has arrived or is lost, if no other joins its transmission (s)."""
-        packet_bytes, room_bytes = wire_bytes / packets, self._room_bytes - self.waiting_bytes()
-        accepted = packets if wire_bytes <= room_bytes else max(0, int(room_bytes // packet_bytes))
-        self.dropped_packets += packets - accepted
-        if not accepted:
-            return self._timeline.now_s
-        self.accepted_bytes += accepted * packet_bytes
-        self.accepted_packets += accepted
-        self._line.append(
-            _Datagram(packet_bytes=packet_bytes, in_line=accepted, is_whole=accepted == packets, deliver=deliver)
-        )
-        self._line_bytes += accepted * packet_bytes
-        self._line_packets += accepted
-        if not self._on_air:
-            self._transmit()
-        return self._clear_s() + self._delay_s
+        """Queue a datagram; return when all of it has arrived or is lost, as far as this is known (s)."""
 
+    @abstractmethod
     def waiting_bytes(self) -> float:
-        """Return the bytes in the queue and on the air."""
-        return self._line_bytes + self._unsent_on_air()
+        """Return the bytes in the queue and in service."""
 
+    @abstractmethod
     def wait_s(self) -> float:
-        """Return the time that a packet put now would wait before it is sent (s)."""
-        return self._clear_s() - self._timeline.now_s if self._on_air else 0.0
+        """Return the time that a packet put now would wait before it is served (s)."""
 
+    @abstractmethod
     def received(self) -> tuple[float, int]:
         """Return the traffic that has reached the far interface (bytes, packets)."""
-        while self._arriving and self._arriving[0][0] <= self._timeline.now_s:
-            _, received_bytes, received_packets = self._arriving.popleft()
+
+    def _admit(self, wire_bytes: float, packets: int, room_bytes: float) -> int:
+        """Accept the packets of a datagram that fit, drop the others, and count both."""
+        packet_bytes = wire_bytes / packets
+        accepted = packets if wire_bytes <= room_bytes else max(0, int(room_bytes // packet_bytes))
+        self.dropped_packets += packets - accepted
+        self.accepted_bytes += accepted * packet_bytes
+        self.accepted_packets += accepted
+        return accepted
+
+
+class FluidBottleneck(Bottleneck):
+    """A bottleneck that serves one byte after the other.
+
+    It needs no event per packet. It is never idle while it holds something, so a datagram leaves when the backlog
+    before it and the datagram itself have been served, and that moment is known at once.
+    """
+
+    def __init__(
+        self, timeline: Timeline, service: Service, losses: Losses, *, delay_s: float, room_bytes: int
+    ) -> None:
+        super().__init__(timeline, service, losses, delay_s=delay_s, room_bytes=room_bytes)
+        self._busy_until = service.by(timeline.now_s)
+        self._crossings: deque[tuple[float, float, float, int]] = deque()  # service start and end, bytes, packets
+
+    def put(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
+        """Queue a datagram; return when all of it has arrived or is lost (s)."""
+        now_s = self._timeline.now_s
+        start = self._service.by(now_s)
+        room: float = self._room_bytes
+        if self._busy_until > start:
+            room -= self._busy_until - start
+            start = self._busy_until
+        accepted = self._admit(wire_bytes, packets, room)
+        if not accepted:
+            return now_s
+        fragment = wire_bytes / packets
+        self._busy_until = end = start + accepted * fragment
+        arrival_s = self._service.when(end) + self._delay_s
+        surviving = accepted if self._losses.is_lossless else self._losses.survivors(accepted, arrival_s)
+        self._crossings.append((start, end, surviving * fragment, surviving))
+        if len(self._crossings) > MOST_UNCOUNTED:
+            self.received()
+        if surviving == packets:
+            self._timeline.at(arrival_s, deliver)
+        else:
+            self.lost_packets += accepted - surviving
+        return arrival_s
+
+    def waiting_bytes(self) -> float:
+        """Return the bytes in the queue and in service."""
+        return max(0.0, self._busy_until - self._service.by(self._timeline.now_s))
+
+    def wait_s(self) -> float:
+        """Return the time that a packet put now would wait (s)."""
+        return self._service.when(self._busy_until) - self._timeline.now_s if self.waiting_bytes() > 0 else 0.0
+
+    def received(self) -> tuple[float, int]:
+        """Return the traffic that has reached the far interface, part of a datagram included (bytes, packets)."""
+        served = self._service.by(self._timeline.now_s - self._delay_s)
+        crossings = self._crossings
+        while crossings and crossings[0][1] <= served:
+            _, _, received_bytes, received_packets = crossings.popleft()
             self._received_bytes += received_bytes
             self._received_packets += received_packets
+        if crossings and crossings[0][0] < served:
+            start, end, received_bytes, _ = crossings[0]
+            return self._received_bytes + received_bytes * (served - start) / (end - start), self._received_packets
         return self._received_bytes, self._received_packets
-
-    def _unsent_on_air(self) -> float:
-        if not self._on_air:
-            return 0.0
-        left = self._air_served - self._service.by(self._timeline.now_s)
-        return min(self._air_bytes, max(0.0, left))
-
-    def _clear_s(self) -> float:
-        """Return the moment at which everything that waits now has been sent (s)."""
-        if not self._line_packets:
-            return self._air_until_s
-        transmissions = -(-self._line_packets // self._aggregate_packets)
-        first_byte_s = self._air_until_s + transmissions * self._overhead_s
-        if math.isinf(first_byte_s):
-            return math.inf
-        return self._service.when(self._service.by(first_byte_s) + self._line_bytes)
-
-    def _transmit(self) -> None:
-        """Start a transmission with the packets in line."""
-        room, size = self._aggregate_packets, 0.0
-        most_bytes = MOST_AIR_S * self._service.rate_at(self._timeline.now_s)
-        while room and self._line:
-            head = self._line[0]
-            taken = min(room, head.in_line, max(0 if size else 1, int((most_bytes - size) // head.packet_bytes)))
-            if not taken:
-                break
-            head.in_line -= taken
-            room -= taken
-            size += taken * head.packet_bytes
-            self._on_air.append((head, taken))
-            if not head.in_line:
-                self._line.popleft()
-        self._line_packets -= self._aggregate_packets - room
-        # Rounding of fractions of datagrams would leave a millionth of a byte in an empty line.
-        self._line_bytes = self._line_bytes - size if self._line else 0.0
-        self._air_bytes = size
-        self._air_served = self._service.by(self._timeline.now_s + self._overhead_s) + size
-        self._air_until_s = self._service.when(self._air_served)
-        if self._air_until_s < math.inf:
-            self._timeline.at(self._air_until_s, self._end)
-
-    def _end(self) -> None:
-        """End the transmission: its packets arrive, and the next transmission starts."""
-        arrival_s = self._air_until_s + self._delay_s
-        received_bytes, received_packets = 0.0, 0
-        for datagram, packets in self._on_air:
-            surviving = self._losses.survivors(packets, arrival_s)
-            self.lost_packets += packets - surviving
-            received_bytes += surviving * datagram.packet_bytes
-            received_packets += surviving
-            datagram.is_whole = datagram.is_whole and surviving == packets
-            if datagram.is_whole and not datagram.in_line:
-                self._timeline.at(arrival_s, datagram.deliver)
-        self._arriving.append((arrival_s, received_bytes, received_packets))
-        if len(self._arriving) > _MOST_UNCOUNTED:
-            self.received()
-        self._on_air = []
-        if self._line:
-            self._transmit()

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.sim.bottleneck import Bottleneck
+from arpd.sim.aggregation import AggregatingBottleneck
+from arpd.sim.bottleneck import FluidBottleneck
 from arpd.sim.loss import Losses, check_ascending, check_probability, either, loss_at
 from arpd.sim.service import Service
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
 
+    from arpd.sim.bottleneck import Bottleneck
     from arpd.sim.loss import GilbertElliott, LossStep
     from arpd.sim.schedule import RateSchedule
     from arpd.sim.timeline import Timeline
@@ -95,15 +97,21 @@ class SimulatedLink:
         )
         # One frame is in service, not queued.
         room_bytes = model.queue_bytes + model.firmware_bytes + _MTU_FRAME_BYTES
-        self._bottleneck = Bottleneck(
-            timeline,
-            self._service,
-            losses,
-            delay_s=model.delay_s,
-            room_bytes=room_bytes,
-            overhead_s=model.packet_overhead_s,
-            aggregate_packets=model.aggregate_packets,
-        )
+        self._bottleneck: Bottleneck
+        if model.packet_overhead_s == 0.0 and model.aggregate_packets == 1:
+            self._bottleneck = FluidBottleneck(
+                timeline, self._service, losses, delay_s=model.delay_s, room_bytes=room_bytes
+            )
+        else:
+            self._bottleneck = AggregatingBottleneck(
+                timeline,
+                self._service,
+                losses,
+                delay_s=model.delay_s,
+                room_bytes=room_bytes,
+                overhead_s=model.packet_overhead_s,
+                aggregate_packets=model.aggregate_packets,
+            )
 
     def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
         """Put one datagram on the link; ``deliver`` runs when its last fragment arrives, unless one is missing.

@@ -12,19 +12,16 @@ import numpy as np
 import osqp
 from scipy.sparse import csc_matrix
 
-from arpd.solve.level import TOLERANCE, residual
-
 if TYPE_CHECKING:
     from arpd.solve.eq4 import Eq4Problem
     from arpd.solve.level import Column
 
-#: ADMM stops at each of these in turn, and OSQP polishes, until ν passes the check.
-_STEPS = (1e-3, 1e-5, 1e-7, 1e-9)
 #: ρ adapts at a fixed interval of iterations, and the algebra is OSQP's own, so that a problem takes the same course on
 #: every machine.
 _OPTIONS: dict[str, Any] = {
     "adaptive_rho_interval": 25,
     "check_dualgap": False,
+    "eps_abs": 1e-9,
     "eps_rel": 0.0,
     "polishing": True,
     "rho": 10.0,
@@ -34,7 +31,7 @@ _OPTIONS: dict[str, Any] = {
 
 
 def level(weights: Column, low: Column, high: Column, budget: float) -> float:
-    """Return ν = −y of  min Σ e²/(2w)  s.t.  Σ e = B (: y),  low ≤ e ≤ high;  nan where OSQP finds none.
+    """Return ν = −y of  min Σ e²/(2w)  s.t.  Σ e = B (: y),  low ≤ e ≤ high.
 
     It solves for x = e·√N/B: all rows then have length 1. A ceiling that no share can reach costs digits, so ceilings
     are cut a little above what is left after the floors.
@@ -51,15 +48,9 @@ def level(weights: Column, low: Column, high: Column, budget: float) -> float:
         A=csc_matrix((np.tile((count**-0.5, 1.0), count), rows, np.arange(0, 2 * count + 1, 2))),
         l=np.concatenate(([1.0], low / unit)),
         u=np.concatenate(([1.0], reachable / unit)),
-        eps_abs=_STEPS[0],
         **_OPTIONS,
     )
-    for eps in _STEPS:
-        workspace.update_settings(eps_abs=eps)
-        found = -float(workspace.solve(raise_error=False).y[0]) * budget / (count * mean)
-        if residual(found, weights, low, high, budget) <= TOLERANCE:
-            return found
-    return math.nan
+    return -float(workspace.solve(raise_error=False).y[0]) * budget / (count * mean)
 
 
 def eq4(problem: Eq4Problem) -> tuple[float, float]:
@@ -76,7 +67,6 @@ def eq4(problem: Eq4Problem) -> tuple[float, float]:
         A=csc_matrix([[1.0, 0.0], [-1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]),
         l=np.array([-np.inf, -np.inf, rate_floor, depth_floor]),
         u=np.array([1.0 / problem.topics - rate_floor, -depth_floor, 1.0, 1.0]),
-        eps_abs=_STEPS[-1],
         **_OPTIONS,
     )
     rate_share, depth_share = workspace.solve(raise_error=False).x

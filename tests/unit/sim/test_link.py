@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.sim.bottleneck import MOST_AIR_S
+from arpd.sim.aggregation import _MOST_AIR_S
 from arpd.sim.link import LinkModel, SimulatedLink
 from arpd.sim.loss import GilbertElliott, LossStep
 from arpd.sim.schedule import RateSchedule, RateStep
@@ -151,10 +151,10 @@ def test_aggregates_share_the_overhead(aggregate_packets):
     model = LinkModel(packet_overhead_s=overhead_s, aggregate_packets=aggregate_packets)
     bench = Bench(schedule_of((0.0, rate)), model)
     bench.saturate(packet_bytes, END_S, every_s=0.5 * packet_bytes / rate)
-    size = min(aggregate_packets, int(MOST_AIR_S * rate / packet_bytes)) * packet_bytes
+    size = min(aggregate_packets, int(_MOST_AIR_S * rate / packet_bytes)) * packet_bytes
     goodput = bench.link.received_bytes() / END_S
     assert goodput == pytest.approx(size / (overhead_s + size / rate), rel=0.02)
-    assert goodput < rate * MOST_AIR_S / (MOST_AIR_S + overhead_s)
+    assert goodput < rate * _MOST_AIR_S / (_MOST_AIR_S + overhead_s)
 
 
 @pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])
