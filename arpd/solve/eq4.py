@@ -140,8 +140,8 @@ class AlikeOnLink(Link):
         if self._floor_hz:
             reserve, kept = max(0.0, self._even_hz / self._floor_hz - 1.0), self._even_hz / self._floor_hz
         words = [f"rate reserve {left(reserve)}"] if reserve < 1.0 - TOLERANCE else []
-        words += [f"rate floor {left(kept)}"] if kept < 1.0 - TOLERANCE else []
-        depth = ["memory budget below the depth floor"] if holds < 1.0 - TOLERANCE else []
+        words += [f"minimum rate {left(kept)}"] if kept < 1.0 - TOLERANCE else []
+        depth = ["memory budget below the minimum depth"] if holds < 1.0 - TOLERANCE else []
         return (words if self.budget else [NO_CAPACITY]) + depth
 
 

@@ -92,7 +92,7 @@ class Link:
         floors = Yielding(price.yielding_weight, price.kept_floor)
         level_hz = price.share_per_weight * rows.weights / self.costs_s
         rates_hz = np.clip(level_hz, self.floors_hz * floors.parts(rows.weights), self.ceilings_hz)
-        words = floors.words("rate floor", rows.weights, self.floors_hz) if self.budget else [NO_CAPACITY]
+        words = floors.words("minimum rate", rows.weights, self.floors_hz) if self.budget else [NO_CAPACITY]
         depths, bindings, cut = self._histories(memory_bytes, find)
         return Division(price, rates_hz, depths, bindings, words + cut)
 
@@ -134,7 +134,7 @@ class Link:
             floors = yielding(rows.weights, spare, deficit)
         else:
             level = find(rows.weights, slots * least, slots * most, memory_bytes)
-        words = floors.words("depth floor", rows.weights, spare)
+        words = floors.words("minimum depth", rows.weights, spare)
         if is_short := slots.sum() > memory_bytes * (1.0 + TOLERANCE):
             words.append("memory budget below one sample per topic")
         kept = 1.0 + (least - 1.0) * floors.parts(rows.weights)

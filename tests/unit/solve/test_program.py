@@ -228,7 +228,7 @@ def test_degradation_is_named_and_counted(monkeypatch):
     assert (paused.rate_hz, paused.deadline_ns) == (0.0, 0)
     assert (paused.binding, kept.binding) == (Binding.LINK, Binding.LINK)
     assert kept.rate_hz == pytest.approx(8.5)
-    assert allocation.degradation == "rate floor of weight 1 given up; rate floor of weight 2 cut to 85%"
+    assert allocation.degradation == "minimum rate of weight 1 given up; minimum rate of weight 2 cut to 85%"
 
 
 def test_memory_below_the_depth_floors_degrades():

@@ -67,7 +67,7 @@ def test_between_two_plans_the_price_is_the_same(capacity, share, crossing):
         (24.0, 1.0, ""),
         (18.0, 1.0, "rate reserve cut to 50%"),
         (12.0, 1.0, "rate reserve given up"),
-        (6.0, 0.5, "rate reserve given up; rate floor cut to 50%"),
+        (6.0, 0.5, "rate reserve given up; minimum rate cut to 50%"),
     ],
 )
 def test_a_link_that_cannot_carry_rmin(max_rate_hz, rate_hz, words):
