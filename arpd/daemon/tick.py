@@ -193,7 +193,8 @@ class Daemon:
         )
         rates = solve(link.available_bytes_per_second, share=_share(budget, link))
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
-        lasting = solve(self._budget.lasting_bytes_per_second)
+        lasting_capacity, lasting_overhead_s = self._budget.lasting
+        lasting = solve(lasting_capacity, packet_overhead_s=lasting_overhead_s)
         decision = self._decide(now_s, seen, link, rates=rates, lasting=lasting, topics=topics)
         come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
         if not seen.active_daemon:

@@ -30,7 +30,6 @@ _IDLED = 0.05  # more where the link may have idled a little
 _OUTLIER = 0.01  # likelihood of any reading; two of them in a row are believed
 _UNDISTURBED = 0.7  # of the trains; the others had samples between their packets
 _DISTURBED = 0.4  # scale by which those read low, of the logarithm
-_HASTY = 0.15  # spread by which a short train reads high
 _NEVER_IDLE, _ALWAYS_DELAYED = 0.1, 0.35  # least likelihoods: pings meet bursts, and jitter, at any load
 _LEAST_FREE = 0.1  # part of the time that is left for bytes, at any overhead of packets
 _STATED, _CAUTIOUS = 0.45, 0.3  # quantiles
@@ -95,13 +94,9 @@ class CapacityBelief:
         self._weigh(_OUTLIER + np.exp(-0.5 * (z / _SPREAD) ** 2))
 
     def train(self, rate: float) -> None:
-        """Note the dispersion of a train: samples in between make it read low, an idle channel a little high (bytes/s).
-
-        Where stations contend (CSMA/CA), the first packets of a train wait less than those of steady traffic
-        (Portoles-Comeras et al., IMC 2009).
-        """
+        """Note the dispersion of a train: samples in between make it read low, hardly anything high (bytes/s)."""
         z = _LOGS - math.log(rate)
-        near = np.exp(-0.5 * (z / np.where(z < 0, _HASTY, _SPREAD)) ** 2)
+        near = np.exp(-0.5 * (z / _SPREAD) ** 2)
         low = np.where(z > 0, np.exp(-np.maximum(z, 0.0) / _DISTURBED), near)
         self._weigh(_OUTLIER + _UNDISTURBED * near + (1.0 - _UNDISTURBED) * low)
 

@@ -38,7 +38,7 @@ class Budget:
     """
 
     def __init__(self) -> None:
-        self._past: deque[tuple[float, float]] = deque()
+        self._past: deque[tuple[float, float, float]] = deque()  # time s, what was available, packet overhead s then
         self._looked_at_s = self._carried_at_s = -math.inf
         self._level: float | None = None  # logarithm of what was available lately
         self._moves = 0.0  # mean distance from it
@@ -63,7 +63,7 @@ class Budget:
             drained = max(_LEAST, drained, min(_MOST, _floors(link, topics)))
         share = headroom + (1.0 - headroom) * _SPENT * self._unrest(now_s, available)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
-            self._past.append((now_s, available))
+            self._past.append((now_s, available, link.available_packet_overhead_s))
             while now_s - self._past[0][0] > _LASTING_S:
                 self._past.popleft()
         return available * min(share, drained)
@@ -78,10 +78,13 @@ class Budget:
         return min(1.0, max(0.0, self._moves - _RESTING) / _RESTLESS)
 
     @property
-    def lasting_bytes_per_second(self) -> float:
-        """Capacity that nine tenths of the last half minute offered, before headroom; 0 before any link (bytes/s)."""
-        past = sorted(available for _, available in self._past)
-        return past[math.floor(_LASTING_SHARE * len(past))] if past else 0.0
+    def lasting(self) -> tuple[float, float]:
+        """Capacity that nine tenths of the last half minute offered, before headroom, and the packet overhead then.
+
+        Both are 0 before any link (bytes/s, s).
+        """
+        past = sorted((available, overhead_s) for _, available, overhead_s in self._past)
+        return past[math.floor(_LASTING_SHARE * len(past))] if past else (0.0, 0.0)
 
 
 def _floors(link: LinkEstimate, topics: Iterable[Topic]) -> float:

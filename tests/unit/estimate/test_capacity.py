@@ -69,16 +69,6 @@ def test_trains_that_see_less_may_be_wrong(part):
     assert after(lambda belief: belief.train(part * C), times=8) == about(part * C)
 
 
-def test_short_trains_read_a_little_high():
-    """On a shared channel a train overtakes contention, so what a busy link delivers outweighs it."""
-
-    def both(belief):
-        belief.delivered_busy(C)
-        belief.train(1.25 * C)
-
-    assert after(both, times=20) < 1.1 * C
-
-
 @pytest.mark.parametrize(("part", "was_idle"), [(0.9, True), (0.6, False)])
 def test_pings_show_by_and_by_how_busy_a_link_is(part, was_idle):
     """A link that carries nearly its capacity is hardly ever idle, and one that carries little is idle mostly."""

@@ -96,18 +96,27 @@ def test_in_an_outage_there_is_none():
 def test_what_nine_tenths_of_the_last_half_minute_allowed_lasts(bad_s, lasts):
     """A fall shorter than three seconds leaves the lasting budget, and a longer one lowers it."""
     budget = course(Budget(), (40.0, LINK), (bad_s, replace(LINK, capacity_bytes_per_second=0.25 * C)))
-    assert budget.lasting_bytes_per_second == pytest.approx(lasts)
+    assert budget.lasting[0] == pytest.approx(lasts)
 
 
 def test_a_rise_lasts_after_half_a_minute():
     """A better link counts when it has been better for nine tenths of the time."""
     poor = replace(LINK, capacity_bytes_per_second=0.25 * C)
-    assert course(Budget(), (40.0, poor), (20.0, LINK)).lasting_bytes_per_second == pytest.approx(0.25 * C)
-    assert course(Budget(), (40.0, poor), (31.0, LINK)).lasting_bytes_per_second == pytest.approx(C)
+    assert course(Budget(), (40.0, poor), (20.0, LINK)).lasting[0] == pytest.approx(0.25 * C)
+    assert course(Budget(), (40.0, poor), (31.0, LINK)).lasting[0] == pytest.approx(C)
 
 
 def test_queues_and_outages_are_left_out_of_what_lasts():
     """A queue drains, and an outage is no capacity: none of them asks for other deadlines."""
     troubled = replace(LINK, standing_delay_s=1.0)
     budget = course(Budget(), (20.0, LINK), (10.0, troubled), (20.0, replace(LINK, state=LinkState.OUTAGE)))
-    assert budget.lasting_bytes_per_second == pytest.approx(C)
+    assert budget.lasting[0] == pytest.approx(C)
+
+
+def test_what_packets_cost_beside_passing_traffic_does_not_last():
+    """Cross traffic leaves less of the link, and so a packet costs more of the rest, but only while it lasts."""
+    usual = replace(LINK, packet_overhead_s=1e-4)
+    beside = replace(usual, cross_traffic_bytes_per_second=0.5 * C)
+    assert beside.available_packet_overhead_s == pytest.approx(2e-4)
+    assert course(Budget(), (20.0, usual), (2.0, beside)).lasting == pytest.approx((C, 1e-4))
+    assert course(Budget(), (20.0, usual), (10.0, beside)).lasting == pytest.approx((0.5 * C, 2e-4))

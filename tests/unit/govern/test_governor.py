@@ -16,7 +16,7 @@ from arpd.model.allocation import Topic
 from arpd.model.endpoints import RefusalReason
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
-from arpd.model.settings import GovernorSettings, Settings
+from arpd.model.settings import Backend, GovernorSettings, Settings
 from arpd.model.wire import swap_bytes
 from arpd.solve.program import Program
 from tests.examples import examples
@@ -50,7 +50,7 @@ class Run:
         self.settings = Settings()
         self.participants = participants
         self.governor = Governor(self.settings)
-        self.program = Program(self.settings)
+        self.program = Program(self.settings, backend=Backend.CLOSED_FORM)
         self.topics = topics
         self.silent = set()
         self.generation = generation
