@@ -92,14 +92,14 @@ def _list_interfaces() -> list[str] | None:
 
 def _summary(settings: Settings, *, is_far: bool) -> str:
     """Say what the file changes from the defaults, and what it means for the relay on this computer."""
-    from arpd.host.config.keys import describe_change
+    from arpd.host.config.keys import changes
 
     relay = settings.relay
-    changes = describe_change(Settings(), settings)
+    differing = changes(Settings(), settings)
     relayed = f", relayed: {len(relay.topics)}" if relay.link_domain is None else ""
-    ok = f"OK (topics: {len(settings.topics)}{relayed}, keys that differ from the default: {len(changes)})"
+    ok = f"OK (topics: {len(settings.topics)}{relayed}, keys that differ from the default: {len(differing)})"
     meaning = _two_ends(relay, is_far=is_far) if relay.link_domain is not None else _one_end(relay, is_far=is_far)
-    return "\n".join([ok, *meaning, *(f"  {line}" for line in changes)])
+    return "\n".join([ok, *meaning, *(f"  {key}: {change}" for key, change in differing.items())])
 
 
 def _one_end(relay: RelaySettings, *, is_far: bool) -> Iterator[str]:

@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from arpd.host.config.keys import describe_change, restart_only_changes
+from arpd.host.config.keys import changes, needs_restart
 from arpd.host.config.load import in_force
 from arpd.model.errors import ConfigError
 
@@ -79,13 +79,14 @@ class Configuration:
         if fresh != before:
             take(fresh)
         self.settings = fresh
-        changes, awaiting = describe_change(before, fresh), restart_only_changes(before, wanted)
-        for change in changes:
-            log.info("reloaded: %s", change)
-        for change in describe_change(fresh, wanted):
-            log.warning("%s; takes effect after a restart", change)
+        in_effect = changes(before, fresh)
+        for key, change in in_effect.items():
+            log.info("reloaded: %s: %s", key, change)
+        for key, change in changes(fresh, wanted).items():
+            log.warning("%s: %s; takes effect after a restart", key, change)
+        awaiting = [key for key in changes(before, wanted) if needs_restart(key)]
         newly_awaiting = {*awaiting} - {*self.awaiting_restart}
-        self.changed_keys_by_effect.update(in_force=len(changes), awaiting_restart=len(newly_awaiting))
+        self.changed_keys_by_effect.update(in_force=len(in_effect), awaiting_restart=len(newly_awaiting))
         self.awaiting_restart = tuple(awaiting)
         self.error = ""
         self.loaded_at_s = self._wall_clock()

@@ -71,22 +71,16 @@ def spelled(value: Written) -> str:
     return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
 
 
-def describe_change(old: Settings, new: Settings) -> list[str]:
-    """Return one line ``key: old -> new`` for each key that differs."""
-    before, after = ({key: spelled(value) for key, value in flatten(settings).items()} for settings in (old, new))
-    return [f"{key}: {before.get(key, _ABSENT)} -> {after.get(key, _ABSENT)}" for key in _changed(old, new)]
-
-
-def restart_only_changes(old: Settings, new: Settings) -> list[str]:
-    """Return the keys that differ but are read at start only, so that a reload cannot apply them."""
-    return [key for key in _changed(old, new) if needs_restart(key)]
+def changes(old: Settings, new: Settings) -> dict[str, str]:
+    """Return ``old -> new`` for each key that differs."""
+    before, after = flatten(old), flatten(new)
+    return {
+        key: f"{spelled(before.get(key, _ABSENT))} -> {spelled(after.get(key, _ABSENT))}"
+        for key in before | after
+        if before.get(key) != after.get(key)
+    }
 
 
 def needs_restart(key: str) -> bool:
     """Return whether a change of the dotted key takes effect only after a restart."""
     return key.startswith(_RESTART_ONLY)
-
-
-def _changed(old: Settings, new: Settings) -> Iterator[str]:
-    before, after = flatten(old), flatten(new)
-    return (key for key in before | after if before.get(key) != after.get(key))
