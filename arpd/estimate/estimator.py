@@ -165,6 +165,7 @@ class Estimator:
             needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
             copies=self._copies,
             is_resting=self._is_resting,
+            is_settled=self._trains.is_settled,
         )
         requests = tuple(wanted)
         for request in requests:

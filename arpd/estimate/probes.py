@@ -66,6 +66,7 @@ class ProbeSchedule:
         needs_pair: bool,
         copies: int,
         is_resting: bool = False,
+        is_settled: bool = True,
     ) -> Iterator[ProbeRequest]:
         """Yield the probes to send now.
 
@@ -79,6 +80,7 @@ class ProbeSchedule:
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
         is_resting : True while next to nothing crosses; nobody needs the capacity soon then
+        is_settled : True when enough trains have shown it
         """
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
@@ -111,7 +113,7 @@ class ProbeSchedule:
             is_measured=is_measured,
             is_urgent=is_urgent,
             is_surprised=is_surprised,
-            is_resting=is_resting and not needs_pair,
+            is_resting=is_resting and is_settled,
         ):
             self._train_at_s = now_s
             self._is_confirming = is_surprised  # the first confirmation is on credit

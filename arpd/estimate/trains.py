@@ -17,7 +17,8 @@ _SENDER_LIMITED = 0.8  # a train that arrives as it left: the link takes no long
 _SMALL = 0.5  # of the size of a large packet
 _PAIR_S = 1.0  # a small and a large train this close together saw the same link
 _PAIRS = 15
-_LEAST_PAIRS, _ENOUGH_PAIRS = 5, 8
+_LEAST_PAIRS = 5
+_SETTLED = 8  # large trains that show the capacity, also in the light of an overhead that was just found
 _SLOWER = 2.0  # a pair counts up to this multiple of the present packet time
 _MOST_OVERHEAD = 0.8
 _LATE = 3  # large trains whose fastest one counts
@@ -97,8 +98,13 @@ class TrainLog:
 
     @property
     def needs_pairs(self) -> bool:
-        """True while too few pairs show the overhead on a link of this speed, and the capacity in the light of it."""
-        return not self._large or len(self._known) < _ENOUGH_PAIRS
+        """True while too few pairs show the overhead on a link of this speed."""
+        return not self._large or len(self._known) < _LEAST_PAIRS
+
+    @property
+    def is_settled(self) -> bool:
+        """True when enough trains have been read for a link that rests."""
+        return self.count >= _SETTLED
 
     @property
     def _known(self) -> list[tuple[float, bool, float]]:

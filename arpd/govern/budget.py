@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _TARGET_S = 0.03  # a queue up to this, above what one large message explains, may stay
 _DRAIN_S = 0.15  # a longer one is to be gone after about so long
 _LEAST, _MOST = 0.1, 0.5  # part that goes on beside any queue, which is gone almost as soon: what the floors need
+_LONG_S = 1.0  # a link with such a queue is dying, or nobody knows what it carries: then only the tenth goes on
 _OUT, _OUT_HALF_S, _OUT_MOST_S = 0.05, 1.0, 10.0  # part that goes on in an outage, halved every second
 _LEVEL_S, _MOVES_S = 1.0, 6.0
 # Mean distance from the level of the last second, of the logarithm: noise of the estimate, and a link that never rests.
@@ -60,7 +61,8 @@ class Budget:
         queue_s = max(link.standing_delay_s, link.queue_delay_s - link.queue_allowance_s)
         drained = 1.0 + (_TARGET_S - queue_s) / _DRAIN_S
         if drained < _MOST:
-            drained = max(_LEAST, drained, min(_MOST, _floors(link, topics)))
+            floors = min(_MOST, _floors(link, topics)) if queue_s < _LONG_S else 0.0
+            drained = max(_LEAST, drained, floors)
         share = headroom + (1.0 - headroom) * _SPENT * self._unrest(now_s, available)
         if not self._past or now_s - self._past[-1][0] >= _LASTING_STEP_S:
             self._past.append((now_s, available, link.available_packet_overhead_s))
