@@ -87,7 +87,7 @@ def test_the_document_stands_in_its_places(daemon, browser):
         seen.await_live()
         (verdict,) = seen.texts("#verdict p")
         assert verdict.startswith("The link is the limit")
-        assert any("line 3" in notice for notice in seen.texts(".notice[data-mark=error]"))
+        assert any("line 3" in notice for notice in seen.texts(".notice[data-mark=warning]"))
         tiles = " ".join(seen.texts(".tiles > div"))
         assert "Capacity 4.00 Mbit/s peer: 3 trains, median 500 kB/s" in tiles
         assert "Cross traffic 0.50 Mbit/s leaves 3.50 Mbit/s" in tiles

@@ -1,4 +1,4 @@
-"""The operator's view of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd top`.
+"""The operator's view of one real run: a real Prometheus with rules and alerts, dashboards, page and `arpd status`.
 
 Only this file uses the run (`tests.all.seeing.real_run`), so it plays once.
 """
@@ -165,16 +165,16 @@ def test_status_reports_the_recovered_robot_as_well(run):
     run.eventually("arpd status tells what the daemon does", is_well)
 
 
-def test_top_shows_the_run_in_one_frame(run):
-    """The frame has topics, capacity, the admitted part through the outage and the log, without control codes."""
+def test_status_shows_the_run_in_one_frame(run):
+    """The frame has topics, capacity, the allowed part through the outage and the log, without control codes."""
     before = run.status()
-    code, told = command("top", "--once", "--url", run.url)
+    code, told = command("status", "--url", run.url)
     assert code == 0
     assert "\x1b" not in told
     lines = told.splitlines()
-    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "admitted "))}
+    course = {line.split()[0]: line for line in lines if line.startswith(("link ", "queue ", "allowed "))}
     assert all(set(line) & set("▁▂▃▄▅▆▇█") for line in course.values())
-    assert len(set(course["admitted"]) & set("▁▂▃▄▅▆▇█")) > 1, "the outage admits less"
+    assert len(set(course["allowed"]) & set("▁▂▃▄▅▆▇█")) > 1, "the outage allows less"
     for topic in before["topics"]:
         assert any(line.startswith(f"{topic['topic']} ") for line in lines), told
     assert before["events"]
