@@ -128,7 +128,7 @@ _PLAN: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
     ),
     (
         "arpd_gate_ratio",
-        "Part of the traffic above the floors that the budget admits; 1 while no topic is slowed.",
+        "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed.",
         lambda s: s.decision.gate,
     ),
     (
@@ -247,7 +247,7 @@ _HISTOGRAMS: tuple[tuple[str, str, Callable[[Totals], Distribution]], ...] = (
     ),
     (
         "arpd_solve_duration_seconds",
-        "Duration of solves of the whole program; a tick that brings nothing new needs none.",
+        "Duration of solves of the whole program, one for each tick that plans.",
         lambda t: t.durations.solves,
     ),
 )

@@ -26,7 +26,7 @@ _OF_ROW: tuple[tuple[str, str, Callable[[TopicRow], float | None]], ...] = (
     ),
     (
         "planned_min_rate_hertz",
-        "Floor of the plan; the price does not slow the topic below it while the link carries all floors.",
+        "Minimum rate of the plan; the price slows the topic below it only where not all minimum rates fit.",
         lambda r: None if r.planned is None else r.planned.min_rate_hz,
     ),
     (

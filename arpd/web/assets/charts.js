@@ -33,7 +33,7 @@ const CHARTS = [
     unit: "%",
     scale: 100,
     most: 100,
-    series: [{ name: "admitted", key: "gate", of: (s) => s.gate, color: "--admitted", stepped: true, filled: true }],
+    series: [{ name: "allowed", key: "gate", of: (s) => s.gate, color: "--admitted", stepped: true, filled: true }],
   },
 ];
 const TOPIC_SERIES = [
