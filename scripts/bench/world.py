@@ -256,7 +256,7 @@ class World:
             if self.robot.service:
                 relay["services"] = [self.robot.service.name]
             if self.robot.groups:
-                relay["groups"] = [{"topics": list(self.robot.groups), "by": "stamp"}]
+                relay["groups"] = [{"topics": list(self.robot.groups)}]
         elif self.side.ends == "one":
             relay = {
                 "prefix": PREFIX,
