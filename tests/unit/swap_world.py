@@ -14,7 +14,7 @@ class Writer:
         self.is_alive = True
         self.acknowledges = True
         self.readers = world.readers
-        self.loses_readers = False
+        self.loses_readers = world.loses_readers
         self.has_reliable_readers = world.has_reliable_readers
         self.missed = 0
 
@@ -51,7 +51,7 @@ class World:
     def __init__(self):
         self.readers = 1
         self.has_reliable_readers = True
-        self.refuses = False
+        self.refuses = self.loses_readers = False
         self.writers = []
         self.results = []
         self.results_of = []  # the QoS that each result is of

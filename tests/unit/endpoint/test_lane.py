@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.model.plan import TopicPlan
-from arpd.model.price import Price
 from tests.examples import examples
 
 LARGE = bytes(SMALL_BYTES)  # after the number in front of it
@@ -129,16 +128,6 @@ def test_what_has_expired_does_not_leave():
     assert leave(lane, 2.0) == (None, 1)
     assert lane.begin(2.0) is None
     assert lane.withheld.total() == 2
-
-
-def test_what_a_rate_withholds_is_counted_by_its_cause():
-    """The user learns whether the ceiling or the price thins a topic."""
-    for rate_hz, cause in ((0.0, "rate"), (1e6, "price")):
-        lane = make()
-        row = TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=1.0, packets=1)
-        lane.retune(row, Price(share_per_weight=0.0, capacity_bytes_per_second=1.0))
-        play(lane, every(100.0, "a", for_s=0.05))
-        assert lane.withheld == {cause: 3}
 
 
 def test_what_is_on_its_way_or_was_just_now_is_known():

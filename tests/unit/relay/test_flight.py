@@ -127,16 +127,3 @@ def test_numbers_and_bytes_wrap_and_begin_anew_with_a_session():
         received.note(7, number, 0, size, 1.0)
     receipt = received.take(1.0)
     assert (receipt.session, receipt.number, receipt.received) == (7, 1, 20)
-
-
-@pytest.mark.parametrize(("size", "soon_s"), [(10_000, 0.02), (100, 0.1)])
-def test_what_arrives_is_confirmed_soon_and_once(size, soon_s):
-    """Much is confirmed within 20 ms and little within 100 ms of the receipt before; nothing new, never."""
-    received = Received()
-    assert received.due_s() == math.inf
-    received.note(7, 1, 0, size, 5.0)
-    assert received.due_s() <= 5.0
-    received.take(5.0)
-    assert received.due_s() == math.inf
-    received.note(7, 2, 0, size, 5.001)
-    assert 5.001 < received.due_s() <= 5.0 + soon_s + 1e-9

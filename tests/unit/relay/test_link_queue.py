@@ -130,16 +130,6 @@ def test_a_large_message_is_not_torn_by_newer_ones_and_the_newest_follows():
     assert link.arrived["camera"] == [b"0" * LARGE, b"3" * LARGE]
 
 
-def test_what_follows_an_expired_sample_is_cut_as_any_other():
-    """An old small sample lets no large one out in one piece."""
-    link = Link()
-    link.lane("topic")
-    link.offer("topic", bytes(SMALL), source="one", expires_s=link.now_s + 0.1)
-    link.offer("topic", bytes(LARGE), source="two")
-    link.now_s += 0.2
-    assert link.take()[2] <= 20 * FRAGMENT_BYTES
-
-
 @pytest.mark.parametrize("price", [None, price_of(0.2)], ids=["no daemon", "daemon"])
 def test_large_topics_share_the_link_by_weight(price):
     """Of two that want all, one with twice the weight gets twice the link."""
@@ -195,47 +185,6 @@ def test_a_large_topic_below_its_floor_comes_first():
         link.publish(name, 50.0)
     link.run(5.0)
     assert len(link.arrived["rare"]) in {10, 11}
-
-
-def test_a_floor_takes_no_share_from_a_third_topic():
-    """A topic that begins to send while another one is served for its floor has its share at once."""
-    link = Link()
-    for name, plan in (("busy", ROW), ("rare", replace(ROW, weight=0.01, min_rate_hz=1.0)), ("new", ROW)):
-        link.lane(name, plan, price_of(0.4))
-    link.publish("busy", 50.0)
-    link.publish("rare", 1.0)
-    link.run(3.02)
-    link.publish("new", 50.0)
-    used_s = link.run(3.0)
-    assert used_s["new"] == pytest.approx(used_s["busy"], rel=0.1)
-
-
-def test_a_daemon_that_comes_changes_no_shares():
-    """Topics that shared the link without a price share it with one."""
-    link = Link()
-    for name in "ab":
-        link.lane(name)
-        link.publish(name, 50.0)
-        link.run(0.5)
-    for lane in link.lanes.values():
-        link.queue.retune(lane, ROW, price_of(0.4))
-    used_s = link.run(3.0)
-    assert used_s["a"] == pytest.approx(used_s["b"], rel=0.1)
-
-
-def test_without_a_daemon_only_what_is_on_its_way_bounds_the_queue():
-    """As long as receipts come at once nothing waits, also right after the daemon has left."""
-    link = Link()
-    lane = link.lane("map", ROW, price_of(0.0))
-    link.offer("map", bytes(LARGE))
-    link.take()
-    link.queue.retune(lane, None, None)
-    last = None
-    while (taken := link.take()) is not None:
-        last = taken
-        link.confirm_all()
-    assert last is not None
-    assert last[1] + last[2] == LARGE
 
 
 @pytest.mark.parametrize("capacity", [0.12 * CAPACITY, CAPACITY, 2.0 * CAPACITY])

@@ -54,22 +54,6 @@ def test_a_node_that_returns_counts_from_its_own_numbers():
     assert topics(nodes, 0.1 + SILENT_S) == ["/a"]
 
 
-def test_the_picture_is_the_same_until_something_changes():
-    """The same tuple returns until a node tells something, the graph changes or a node expires."""
-    nodes = Nodes()
-    nodes.note(b"1", snapshot("/n", "/a"), 0.0)
-    nodes.see(everybody)
-
-    def joined(_node, _topic):
-        return {"direction": Direction.SENSING}
-
-    first = nodes.live(0.1, joined)
-    assert first[0].direction is Direction.SENSING
-    assert nodes.live(0.2, joined) is first
-    nodes.note(b"1", snapshot("/n", "/a"), 1.0)
-    assert nodes.live(1.1, joined) is not first
-
-
 def test_entries_are_bounded():
     """Nodes and publishers beyond all bounds are left out; those that are known stay."""
     nodes = Nodes()
@@ -91,17 +75,6 @@ def test_inventions_give_way_to_what_the_graph_shows():
     assert [nodes.note(writer, snapshot("/invented", *many), 0.1) for writer in (b"2", b"3")] == [True, False]
     assert nodes.note(b"4", snapshot("/honest", *many), 0.2)
     assert len(nodes.live(0.3)) == 1 + len(many)
-
-
-def test_the_newest_summary_of_a_relay_counts():
-    """The daemon sees the relay's last summary while its end tells one."""
-    nodes = Nodes()
-    for at_s, (writer, relay) in enumerate([(b"1", "old"), (b"2", "new"), (b"3", None)]):
-        said = snapshot("/n")
-        said.relay = relay
-        nodes.note(writer, said, float(at_s))
-    assert nodes.relay(2.0) == "new"
-    assert nodes.relay(1.1 + SILENT_S) is None
 
 
 @examples(40)

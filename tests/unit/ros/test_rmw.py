@@ -15,16 +15,11 @@ MS = 1_000_000
 
 
 @pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
-def test_fast_dds_is_swapped(name):
-    """On Fast DDS swaps are on and hosts are known."""
-    rmw = current_rmw(identifier=lambda: name, environ={})
-    assert (rmw.name, rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (name, True, True, "")
-
-
-def test_under_sros2_guids_tell_no_hosts():
-    """With security on Fast DDS still swaps, but its GUIDs have the enclave in place of the host."""
-    rmw = current_rmw(identifier=lambda: "rmw_fastrtps_cpp", environ={"ROS_SECURITY_ENABLE": "true"})
-    assert (rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (True, False, "")
+@pytest.mark.parametrize("security", ["false", "true"])
+def test_fast_dds_is_swapped(name, security):
+    """On Fast DDS swaps are on and hosts are known, but not with security, when GUIDs have the enclave there."""
+    rmw = current_rmw(identifier=lambda: name, environ={"ROS_SECURITY_ENABLE": security})
+    assert (rmw.name, rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (name, True, security == "false", "")
 
 
 @pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
