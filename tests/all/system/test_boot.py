@@ -269,7 +269,7 @@ def test_start_returns_when_the_daemon_runs(stopped):
 def test_status_says_what_the_link_carries(running):
     """`systemctl status` shows the link's rate and the plan, and finished work feeds all three watchdogs."""
     assert re.search(
-        r"^[\d.]+ Mbit/s \(.*\), admitted [\d.]+ %, plan \d+: 2 of 2 publishers confirmed$", running.status_text()
+        r"^[\d.]+ Mbit/s \(.*\), allowed [\d.]+ %, plan \d+: 2 of 2 publishers confirmed$", running.status_text()
     )
     for unit, host in running.hosts():
         assert host.show(unit, "StatusText")["StatusText"] in host.call("systemctl", "status", unit).stdout
