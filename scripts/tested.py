@@ -19,8 +19,6 @@ from xml.etree import ElementTree as ET
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-_NOT_PASSED = ("failure", "error", "skipped")
-
 
 @dataclass(kw_only=True, slots=True)
 class Tally:

@@ -3,10 +3,9 @@
 Usage: python -m scripts.bench                                  list them, with the date of each
        python -m scripts.bench NAME …|all [--quick] [--again]   run those that this commit has not been measured by
        python -m scripts.bench --docs                           only write docs/results.md and README.md's table
-       python -m scripts.bench robots …                         other robots, links and sides: `robots --help`
 
 Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed
-is void, and is not kept. With --quick the short forms run, and nothing is kept but in the folder of --out.
+is void, and is not kept. With --quick, --only or --tree nothing is kept but in --out.
 """
 
 from __future__ import annotations
@@ -20,11 +19,13 @@ from pathlib import Path
 
 from scripts.bench.harness import conditions, watched
 from scripts.bench.report import RESULTS, Summary, write_pages
+from scripts.bench.world import TREE
 
 #: By name: module and function that return the summary, about how many minutes it takes, and those of the short form.
 SCENARIOS = {
     "demo": ("demo.play", 2, 2, "does the demo show what arpd is for?"),
     "adapt": ("adapt.play", 170, 1, "how do latency, age and loss compare on links that change?"),
+    "robots": ("robots.play", 110, 1.5, "how do other robots, bottlenecks and transports fare?"),
     "paper": ("paper.play", 45, 1.5, "does the paper's optimum hold with real ROS 2?"),
     "swap": ("swap.play", 30, 1.5, "what does a change of QoS lose?"),
     "faults": ("faults.play", 22, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
@@ -46,19 +47,20 @@ def is_known(name: str) -> bool:
     return not any(each["is_modified"] or each["commit"] != now["commit"] for each in [now, *kept])
 
 
-def is_kept(name: str, *, is_quick: bool, out: Path | None) -> bool:
-    """Run a benchmark and print its summary; return whether it is valid, and so kept."""
+def is_valid(name: str, *, is_quick: bool, only: str, is_part: bool, out: Path | None) -> bool:
+    """Run a benchmark, print its summary and keep it; return whether it is, unless it is a short form, valid."""
     plays, *minutes, _ = SCENARIOS[name]
     module, _, function = plays.partition(".")
     print(f"{name}: about {minutes[is_quick]:g} min, load average {os.getloadavg()[0]:.1f}", flush=True)
     began_s = time.monotonic()
     with watched() as noted:
-        summary: Summary = getattr(importlib.import_module(f"scripts.bench.{module}"), function)(is_quick=is_quick)
+        play = getattr(importlib.import_module(f"scripts.bench.{module}"), function)
+        summary: Summary = play(is_quick=is_quick, **({"only": only} if only else {}))
     summary.conditions.append(noted)
     print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
-    if out or not (is_quick or noted.get("void")):
+    if out or not (is_part or noted.get("void")):
         summary.write((out or RESULTS) / f"{name}.json")
-    return not noted.get("void")
+    return is_quick or not noted.get("void")
 
 
 def listed() -> str:
@@ -73,20 +75,20 @@ def listed() -> str:
 
 
 def main() -> int:
-    if sys.argv[1:2] == ["robots"]:
-        from scripts.bench import robots
-
-        robots.main(sys.argv[2:])
-        return 0
     parser = argparse.ArgumentParser(
         prog="python -m scripts.bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "all"]))
     parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
     parser.add_argument("--again", action="store_true", help="also what this commit has been measured by")
+    parser.add_argument("--only", default="", metavar="TEXT", help="robots, estimate, fuzz: parts whose names have it")
+    parser.add_argument("--tree", type=Path, help="arpd's own processes from another source tree; nothing is kept")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
     parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
     options = parser.parse_args()
+    is_part = bool(options.quick or options.only or options.tree)
+    if options.tree:
+        os.environ[TREE] = str(options.tree.resolve())
     names = list(SCENARIOS) if options.names == ["all"] else options.names
     if unknown := sorted({*names} - {*SCENARIOS}):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
@@ -95,11 +97,11 @@ def main() -> int:
         return 0
     wrong = []
     for name in names:
-        if not (options.quick or options.again) and is_known(name):
+        if not (is_part or options.again) and is_known(name):
             print(f"{name}: this commit has been measured")
-        elif not is_kept(name, is_quick=options.quick, out=options.out) and not options.quick:
+        elif not is_valid(name, is_quick=options.quick, only=options.only, is_part=is_part, out=options.out):
             wrong.append(name)
-    if options.docs or (names and not options.quick and not options.out):
+    if options.docs or (names and not (is_part or options.out)):
         write_pages()
     if wrong:
         print(f"void, and not kept: {', '.join(wrong)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -66,11 +66,10 @@ class Account:
         by_source: dict[int, list[Any]] = defaultdict(list)
         for row in self.arrivals[name]:
             by_source[row[0]].append(row)
-        parts = [self._source(topic, number, by_source[number]) for number, topic in self._sources[name].items()]
+        parts = [self._source(number, by_source[number]) for number in self._sources[name]]
         latencies = [latency for part in parts for latency in part.pop("latencies_ms")]
         self._latencies_ms[name] = latencies
         self._ages_s[name] = [age for part in parts for age in part.pop("ages_s")]
-        kinds: Counter[str] = sum((part.pop("kinds") for part in parts), Counter())
         offered = round(sum(topic.rate_hz for topic in self._sources[name].values()) * seconds)
         arrived = sum(part.pop("arrived") for part in parts)
         first = self._topics[name]
@@ -87,12 +86,10 @@ class Account:
             "late": sum(latency > LATE_MS for latency in latencies),
             "age_p50_s": percentile(self._ages_s[name], 0.5),
             "age_p99_s": percentile(self._ages_s[name], 0.99),
-            **{key: max(part[key] for part in parts) for key in ("gap_s", "gap_over_period_s")},
-            **({"per_second_by_kind": {kind: many / seconds for kind, many in kinds.items()}} if kinds else {}),
-            **({"delivered_by_source": [part["delivered"] for part in parts]} if len(parts) > 1 else {}),
+            "gap_s": max(part["gap_s"] for part in parts),
         }
 
-    def _source(self, topic: Topic, source: int, rows: list[Any]) -> dict[str, Any]:
+    def _source(self, source: int, rows: list[Any]) -> dict[str, Any]:
         noted = self.noted[source]
         numbers = [row[1] for row in rows]
         doubled = len(numbers) - len(set(numbers))
@@ -106,7 +103,6 @@ class Account:
                 counted.setdefault(number, (arrived_ns - sent_ns) * _MS)
         times_s = sorted({row[3] * _S for row in rows if self.from_s <= row[3] * _S < self.until_s})
         gap_s = max(after - before for before, after in pairwise([self.from_s, *times_s, self.until_s]))
-        kinds = Counter(topic.kinds[number % len(topic.kinds)] for number in counted) if topic.kinds != ("",) else {}
         return {
             "published": noted["published"],
             "delivered": len(counted),
@@ -116,8 +112,6 @@ class Account:
             "doubled": doubled,
             "out_of_order": out_of_order,
             "gap_s": gap_s,
-            "gap_over_period_s": gap_s - 1.0 / topic.rate_hz,
-            "kinds": Counter(kinds),
         }
 
     def _ages(self, rows: list[Any]) -> list[float]:
@@ -132,31 +126,22 @@ class Account:
         return ages
 
     def groups(self) -> dict[str, Any]:
-        """Return the figures of each class of topics; those of the worst topic beside those of all."""
+        """Return the figures of each class of topics."""
         found = {}
         for group in GROUPS:
             members = {name: each for name, each in self.topics.items() if each["group"] == group}
             if not members:
                 continue
             latencies = [latency for name in members for latency in self._latencies_ms[name]]
-            shares = {name: 100.0 * min(1.0, each["delivered"] / each["offered"]) for name, each in members.items()}
-            worst = min(shares, key=lambda name: shares[name])
             offered = sum(each["offered"] for each in members.values())
-            p99s = {name: each["p99_ms"] for name, each in members.items() if each["p99_ms"] is not None}
             found[group] = {
                 "delivered_percent": min(100.0, 100.0 * sum(each["delivered"] for each in members.values()) / offered),
-                "worst_topic": worst,
-                "worst_delivered_percent": shares[worst],
-                "p50_ms": percentile(latencies, 0.5),
+                "worst_delivered_percent": min(
+                    100.0 * min(1.0, each["delivered"] / each["offered"]) for each in members.values()
+                ),
                 "p99_ms": percentile(latencies, 0.99),
-                "worst_p99_ms": max(p99s.values(), default=None),
-                "max_ms": max(latencies, default=None),
-                "gap_s": max(each["gap_s"] for each in members.values()),
-                "gap_over_period_s": max(each["gap_over_period_s"] for each in members.values()),
-                "whole_per_second": sum(each["per_second"] for each in members.values()),
+                "per_second": sum(each["per_second"] for each in members.values()),
             }
-        if self._groups:
-            found["large"]["sets_per_second"] = self.sets_per_second()
         return found
 
     def lost(self, name: str) -> int:

@@ -11,7 +11,6 @@ import random
 import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
@@ -20,22 +19,17 @@ import numpy as np
 from arpd.govern.what_if import OfflinePlanner
 from arpd.model.wire import wire_size
 from arpd.sim.demo import demo_settings
-from arpd.sim.trace import read_trace
 from arpd.solve.eq4 import Eq4Problem, rate_of
 from arpd.solve.topics import assumed_traffic
 from scripts.bench.child import ChildError
 from scripts.bench.harness import errors, queues_s, settled_s
-from scripts.bench.links import MBIT, Course, at
+from scripts.bench.links import CALM_S, DURATION_S, MBIT, SEED, Course, at, links
 from scripts.bench.report import Summary, Table, figure, spread, table
 from scripts.bench.robots import demo_robot
 from scripts.bench.sides import PREFIX, SIDES, Robot
 from scripts.bench.world import world_of
 
-WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
-ROUNDS, DURATION_S, CALM_S = 3, 28.0, 5.0
-_OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
-_GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
-SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
+ROUNDS = 3
 _COLUMNS = {
     "latency p50 ms": "p50_ms",
     "p99 ms": "p99_ms",
@@ -56,42 +50,6 @@ WAYS = {
     "arpd": ("two_ends", "arpd, with its relay's two ends"),
     "bound": ("bound", "arpd, told the mean of the link's next 0.2 s at every tick"),
 }
-
-
-def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
-    """Return what each link does, and its course."""
-    fast, slow, least = 20 * MBIT, 5 * MBIT, 3 * MBIT
-    ratio = (least / fast) ** (1 / 20)
-    falling = [(CALM_S + 0.5 * k, fast * ratio ** (k + 1), 0.0) for k in range(20)]
-    rising = [(CALM_S + 13.0 + 0.5 * k, least / ratio ** (k + 1), 0.0) for k in range(20)]
-    swings = [(CALM_S + 4.0 * k, (fast, slow)[(k + 1) % 2], 0.0) for k in range(6)]
-    trace = read_trace(WALK)
-    starts_s = sorted({step.start_s for step in trace.rates.steps} | {step.start_s for step in trace.losses})
-    losses = [(step.start_s, 0.0, step.loss) for step in trace.losses] or [(0.0, 0.0, 0.0)]
-    return {
-        "step-down": ("20 → 5 Mbit/s", [(0.0, fast, 0.0), (CALM_S, slow, 0.0)]),
-        "step-up": ("5 → 20 Mbit/s", [(0.0, slow, 0.0), (CALM_S, fast, 0.0)]),
-        "ramp": ("20 → 3 → 20 Mbit/s, each over 10 s", [(0.0, fast, 0.0), *falling, *rising]),
-        "burst-loss": ("20 Mbit/s; for 0.3 s every 3 s, at random, half or all packets are lost", _bursts(seed)),
-        "outage": ("20 Mbit/s; nothing passes for 5 s", [(0.0, fast, 0.0), (8.0, _OUT, 1.0), (13.0, fast, 0.0)]),
-        "oscillation": ("20 ↔ 5 Mbit/s every 4 s", [(0.0, fast, 0.0), *swings]),
-        "wifi-walk": (
-            "1.5 to 20 Mbit/s, as a walk away from the access point and back gives it",
-            [(start_s, trace.rates.rate_at(start_s), at(losses, start_s)[1]) for start_s in starts_s],
-        ),
-        "steady-20": ("20 Mbit/s", [(0.0, fast, 0.0)]),
-        "steady-5": ("5 Mbit/s", [(0.0, slow, 0.0)]),
-    }
-
-
-def _bursts(seed: int) -> Course:
-    """Return random bursts of loss; the last ends before the run does, so that samples under way can arrive."""
-    rng, fast = random.Random(seed), 20 * MBIT
-    course, now_s = [(0.0, fast, 0.0)], CALM_S
-    while (end_s := now_s + rng.expovariate(1.0 / _BAD_S)) < DURATION_S - 1.0:
-        course += [(now_s, fast, rng.choice((0.5, 1.0))), (end_s, fast, 0.0)]
-        now_s = end_s + rng.expovariate(1.0 / _GOOD_S)
-    return course
 
 
 def robot_for(way: str, course: Course, robot: Robot) -> Robot:

@@ -18,7 +18,7 @@ from scripts.bench.nodes import TOPICS_PER_NODE
 from scripts.bench.report import Summary, figure, table
 from scripts.bench.robots import demo_robot
 from scripts.bench.samples import Topic
-from scripts.bench.sides import SIDES, Robot
+from scripts.bench.sides import SHARED, SIDES, Robot
 from scripts.bench.slow import CORES, MEMORY_BYTES, SlowComputer, boards
 from scripts.bench.world import world_of
 from scripts.netns.namespaces import inside
@@ -169,7 +169,8 @@ def _relayed(size: int, topics: int, rate_hz: float, side: str, seconds: float) 
     about: dict[str, Any] = {"size": size, "rate_hz": rate_hz / topics, "node": "source"}
     robot = Robot(topics=tuple(Topic(name=f"/relayed_{k}", **about) for k in range(topics)))
     # With the discovery range LOCALHOST rmw_fastrtps adds shared memory by itself, so the other sides have it too.
-    way = replace(SIDES[side], has_memory=True, is_governed=False, warm_up_s=3.0)
+    memory = {**SHARED, **SIDES[side].transports}
+    way = replace(SIDES[side], transports=memory, is_governed=False, warm_up_s=3.0)
     with world_of(robot, way, rate=_GIGABIT, queue_bytes=16_000_000) as world:
         account, spent = world.play([(0.0, _GIGABIT, 0.0)], seconds)
     published, delivered = (sum(row[key] for row in account.topics.values()) for key in ("published", "delivered"))
@@ -303,10 +304,6 @@ async def _loaded(client: Client, clients: int, for_s: float) -> tuple[list[floa
     return spent_ms, failed
 
 
-def _run_load(client: Client, clients: int, for_s: float) -> tuple[list[float], int]:
-    return asyncio.run(_loaded(client, clients, for_s))
-
-
 def play_http(*, is_quick: bool) -> Summary:
     """Load the HTTP server of a daemon with many topics, and count its late ticks."""
     topics, for_s = (12, 4.0) if is_quick else (500, 20.0)
@@ -317,7 +314,7 @@ def play_http(*, is_quick: bool) -> Summary:
         time.sleep(_SETTLE_S + SIDES["two_ends"].warm_up_s)
         for name, (client, clients) in LOADS.items():
             before = _ticks(world)
-            spent_ms, failed = inside(world.link.robot.namespace, partial(_run_load, client, clients, for_s))
+            spent_ms, failed = inside(world.link.robot.namespace, partial(asyncio.run, _loaded(client, clients, for_s)))
             ticks, late = (now - then for now, then in zip(_ticks(world), before, strict=True))
             counted = {"load": name, "ticks": ticks, "late": late, "scrapes": len(spent_ms), "failed": failed}
             p50, p99 = percentile(spent_ms, 0.5), percentile(spent_ms, 0.99)

@@ -2,50 +2,24 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from typing import TYPE_CHECKING, Any
+import tempfile
+from pathlib import Path
 
-from scripts.bench.report import REPO, Summary, table
-from scripts.robot.demo import QUICK
-from scripts.robot.report import milliseconds, percent
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from scripts.bench.report import Column
+from arpd.sim.schedule import RateSchedule
+from scripts.bench.report import Summary, Table
+from scripts.robot.demo import QUICK, TAIL_S, compare_for_real
+from scripts.robot.report import HEADINGS, row_of
 
 
 def play(*, is_quick: bool) -> Summary:
-    """Run `scripts/demo --quick`, which takes two minutes either way."""
+    """Run what `scripts/demo --quick` does, which takes two minutes either way."""
     del is_quick
-    command = [sys.executable, "-m", "scripts.robot.demo", "--quick", "--json"]
-    played = json.loads(subprocess.run(command, cwd=REPO, stdout=subprocess.PIPE, text=True, check=True).stdout)
-    topics = sorted(played["topics"], key=lambda topic: -topic["with"]["delivered_bytes"])
-    if not all(topic["with"]["received"] for topic in topics):
+    schedule = RateSchedule.parse(QUICK)
+    with tempfile.TemporaryDirectory(prefix="arpd-bench-demo-") as logs:
+        pairs = compare_for_real(Path(logs), schedule, schedule.duration_s + TAIL_S[QUICK])
+    if not all(pair.with_arpd.received for pair in pairs):
         raise SystemExit("demo: nothing arrived on some topic with arpd")
-
-    def both(head: str, cell: Callable[[dict[str, Any]], str]) -> Column:
-        return head, lambda topic: f"{cell(topic['without'])} → {cell(topic['with'])}"
-
-    columns = (
-        both("latency p99 ms", lambda side: milliseconds(side["latency_p99_s"])),
-        both("loss %", lambda side: percent(side["loss_ratio"])),
-        both("withheld %", lambda side: percent(side.get("withheld_ratio", 0.0))),
-        both("age p50 ms", lambda side: milliseconds(side["age_p50_s"])),
-        both("age p99 ms", lambda side: milliseconds(side["age_p99_s"])),
-        both("delivered MB", lambda side: f"{side['delivered_bytes'] / 1e6:.2f}"),
-    )
     return Summary(
         about=f"rclpy's defaults (RELIABLE, KEEP_LAST 10) → arpd, link {QUICK}.",
-        tables=[
-            table(
-                "",
-                topics,
-                ("topic", lambda row: f"`{row['topic']}`"),
-                ("source Hz", lambda row: row["with"]["source_rate_hz"]),
-                *columns,
-            )
-        ],
+        tables=[Table(columns=list(HEADINGS), rows=list(map(row_of, pairs)))],
     )

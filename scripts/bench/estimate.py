@@ -1,14 +1,11 @@
 """Compare arpd's estimate with the bound, on simulated links in virtual time.
 
-Usage: python -m scripts.bench estimate, or with a choice: python -m scripts.bench.estimate [--only NAME,…] [--seeds N]
-
 Both govern the same robot through the daemon's own tick; only the source of the capacity differs. The bound is
 told the truth at every tick: rate and cross traffic, averaged over the next 0.2 s, and the queue.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 from concurrent.futures import ProcessPoolExecutor
@@ -31,8 +28,7 @@ from arpd.sim.result import percentile
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.sim.trace import read_trace
-from scripts.bench.adapt import WALK
-from scripts.bench.links import MBIT
+from scripts.bench.links import MBIT, WALK
 from scripts.bench.report import Summary, figure, table
 
 if TYPE_CHECKING:
@@ -348,10 +344,10 @@ def _one(key: tuple[str, int]) -> dict[str, Metrics]:
     return {ARPD: measure(scenario, scenario.play(ARPD, seed), bound), BOUND: measure(scenario, bound, bound)}
 
 
-def play(*, is_quick: bool, names: Sequence[str] = (), seeds: int = SEEDS) -> Summary:
+def play(*, is_quick: bool, only: str = "") -> Summary:
     """Play scenarios, each with several seeds."""
-    names = names or (QUICK if is_quick else tuple(SCENARIOS))
-    seeds = 2 if is_quick else seeds
+    names = [name for name in (QUICK if is_quick else SCENARIOS) if only in name]
+    seeds = 2 if is_quick else SEEDS
     keys = [(name, seed) for name in names for seed in range(1, seeds + 1)]
     found: dict[str, dict[str, list[Metrics]]] = {}
     with ProcessPoolExecutor(PROCESSES) as pool:
@@ -394,16 +390,3 @@ def summary(found: Mapping[str, Mapping[str, list[Metrics]]], seeds: int) -> Sum
             )
         ],
     )
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", metavar="NAME,…", help="scenarios, by the beginning of their names")
-    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help="default %(default)d")
-    options = parser.parse_args()
-    names = [name for name in SCENARIOS if name.startswith(tuple(options.only.split(",")))]
-    print(play(is_quick=False, names=names, seeds=options.seeds).markdown())
-
-
-if __name__ == "__main__":
-    main()

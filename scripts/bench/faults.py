@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.child import becomes_true
 from scripts.bench.links import MBIT, Course
-from scripts.bench.nodes import Service
 from scripts.bench.report import Summary, figure, table
 from scripts.bench.samples import BASE, Topic
-from scripts.bench.sides import SIDES, Robot
+from scripts.bench.sides import SIDES, Robot, Service
 from scripts.bench.world import world_of
 
 if TYPE_CHECKING:

@@ -1,31 +1,38 @@
-"""Fuzz all of arpd's readers of outside input, guided by coverage.
+"""Fuzz arpd's readers of outside input by coverage: atheris draws the examples of their Hypothesis tests.
 
-Usage: python -m scripts.bench fuzz, or with a choice: python -m scripts.bench.fuzz TARGET [--seconds S] [--input FILE]
-
-Needs atheris, which is among the development tools on x86-64. Each target of `fuzz_targets` runs in a process of its
-own for so many seconds, or until its first crash; --input runs one kept input again, without atheris. Edges are those
-of arpd's Python and of its parsers; native code in pydantic or rclpy runs without coverage.
+Needs atheris, which is among the development tools on x86-64. Each test runs in a process of its own for so many
+seconds, or until its first failure, which Hypothesis keeps: pytest repeats it. Edges are those of arpd's Python and of
+its parsers; native code in pydantic or rclpy runs without coverage.
 """
 
 from __future__ import annotations
 
-import argparse
+import importlib
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
 from typing import Any
 
-from scripts.bench.fuzz_targets import TARGETS
-from scripts.bench.report import REPO, RESULTS, Summary, figure, table
+from scripts.bench.report import REPO, Summary, figure, table
 
-CRASHES = RESULTS / "crashes"
+#: By reader: module and name of its test, which takes nothing but what Hypothesis draws.
+READERS = {
+    "config": ("host.config.test_fuzz", "test_a_mangled_file_loads_or_says_where_it_is_wrong"),
+    "trace": ("sim.test_trace", "test_whatever_a_file_holds_it_is_a_trace_or_refused"),
+    "report, probe": ("ros.test_probe_messages", "test_any_other_bytes_are_refused_or_read_as_finite_numbers"),
+    "snapshot": ("ros.test_node_snapshot", "test_any_bytes_are_a_snapshot_or_refused"),
+    "plan": ("ros.test_plan_message", "test_any_bytes_are_a_plan_or_refused"),
+    "price": ("ros.test_octets", "test_any_bytes_are_refused_or_read"),
+    "chunk": ("relay.test_envelope", "test_any_bytes_are_a_chunk_or_refused"),
+    "call": ("relay.test_calls", "test_random_bytes_raise_nothing_else"),
+    "sign": ("relay.test_signs", "test_another_version_or_length_is_refused"),
+    "discovery": ("host.test_discovery", "test_no_packet_raises"),
+    "credentials": ("web.test_guard", "test_credentials_come_back_as_they_went_and_noise_does_no_harm"),
+}
 _SECONDS, _QUICK_S = 60.0, 2.0
-_INSTRUMENTED = ["arpd", "yaml", "json", "tornado"]
-_RSS_MIB = 2048  # libFuzzer ends a target with more memory than this,
-_TIMEOUT_S = 30  # or with an input that takes longer than this
+_INSTRUMENTED = ["arpd", "yaml", "json"]
+_LIMITS = ("-max_len=4096", "-rss_limit_mb=2048", "-timeout=30", "-print_final_stats=1")
 #: What libFuzzer prints, by the column that has it; the last of several counts.
 _PRINTED = {
     "inputs": re.compile(r"^stat::number_of_executed_units:\s*(\d+)", re.MULTILINE),
@@ -35,45 +42,36 @@ _PRINTED = {
 }
 
 
-def child(name: str, seconds: float, workdir: Path) -> None:
-    """Fuzz one target in this process, which ends with it."""
+def child(reader: str, seconds: str, folder: str) -> None:
+    """Fuzz one reader in this process, which ends with it."""
     import atheris
 
-    target, corpus, words = TARGETS[name], workdir / "corpus", workdir / "words"
+    module, name = READERS[reader]
     with atheris.instrument_imports(include=_INSTRUMENTED):
-        code = target.load()
-    corpus.mkdir()
-    for number, seed in enumerate(code.seeds):
-        (corpus / f"seed-{number}").write_bytes(seed)
-    quoted = ("".join(f"\\x{byte:02x}" for byte in word.encode()) for word in code.words)
-    words.write_text("".join(f'"{word}"\n' for word in quoted) + "\n", encoding="ascii")
-    limits = (f"-max_total_time={seconds:.0f}", f"-max_len={target.most_bytes}", f"-rss_limit_mb={_RSS_MIB}")
-    files = (f"-timeout={_TIMEOUT_S}", f"-artifact_prefix={workdir}/found-", f"-dict={words}", "-print_final_stats=1")
-    atheris.Setup(["fuzz", *limits, *files, str(corpus)], code.feed)
+        test = getattr(importlib.import_module(f"tests.unit.{module}"), name)
+    atheris.Setup(
+        ["fuzz", f"-max_total_time={seconds}", f"-artifact_prefix={folder}/", *_LIMITS], test.hypothesis.fuzz_one_input
+    )
     atheris.Fuzz()
 
 
-def fuzz(name: str, seconds: float) -> dict[str, Any]:
-    """Fuzz one target for so long; return the findings, and keep the input of a crash, a hang or too much memory."""
-    with tempfile.TemporaryDirectory(prefix=f"arpd-fuzz-{name}-") as folder:
-        command = [sys.executable, "-m", "scripts.bench.fuzz", name, "--seconds", str(seconds), "--child", folder]
+def fuzz(reader: str, seconds: float) -> dict[str, Any]:
+    """Fuzz one reader for so long, and return what libFuzzer found."""
+    with tempfile.TemporaryDirectory(prefix="arpd-fuzz-") as folder:
+        command = [sys.executable, "-m", "scripts.bench.fuzz", reader, f"{seconds:.0f}", folder]
         done = subprocess.run(command, cwd=REPO, capture_output=True, text=True, errors="replace", check=False)
-        printed = done.stderr
-        artifacts = list(Path(folder).glob("found-*"))
-        for artifact in artifacts:
-            CRASHES.mkdir(parents=True, exist_ok=True)
-            kept = shutil.copy(artifact, CRASHES / f"{name}-{artifact.name}")
-            print(f"{done.stdout[-2000:]}\n{name}: repeat it with --input {kept}")
-    found = {column: pattern.findall(printed) for column, pattern in _PRINTED.items()}
+    found = {column: pattern.findall(done.stderr) for column, pattern in _PRINTED.items()}
     if not found["inputs"]:
-        raise SystemExit(f"fuzz: {name} did not run\n{printed[-2000:]}")
+        raise SystemExit(f"fuzz: {reader} did not run\n{done.stderr[-2000:]}")
+    if done.returncode:
+        print(f"{done.stdout[-2000:]}\n{reader}: repeat it with pytest tests/unit -k {READERS[reader][1]}")
     numbers = {column: int(values[-1]) if values else None for column, values in found.items()}
-    return {"reader": name, **numbers, "crashes": len(artifacts)}
+    return {"reader": reader, **numbers, "crashes": int(done.returncode != 0)}
 
 
-def play(*, is_quick: bool) -> Summary:
-    """Fuzz one target after the other."""
-    rows = [fuzz(name, _QUICK_S if is_quick else _SECONDS) for name in TARGETS]
+def play(*, is_quick: bool, only: str = "") -> Summary:
+    """Fuzz one reader after the other."""
+    rows = [fuzz(name, _QUICK_S if is_quick else _SECONDS) for name in READERS if only in name]
     inputs = sum(row["inputs"] for row in rows)
     return Summary(
         about="Each reader of outside input, guided by coverage.",
@@ -82,21 +80,5 @@ def play(*, is_quick: bool) -> Summary:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("target", choices=TARGETS)
-    parser.add_argument("--seconds", type=float, default=_SECONDS, metavar="S", help="default %(default)g")
-    parser.add_argument("--input", type=Path, metavar="FILE", help="run this input once, without atheris")
-    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        child(options.target, options.seconds, options.child)
-    elif options.input:
-        TARGETS[options.target].load().feed(options.input.read_bytes())
-        print(f"{options.input} is accepted or refused correctly")
-    else:
-        print(fuzz(options.target, options.seconds))
-
-
 if __name__ == "__main__":
-    main()
+    child(*sys.argv[1:])

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Any
 
 from scripts.bench.child import answer, commands, serve
 from scripts.bench.samples import BASE, Template, Topic, class_of, sources_of
+from scripts.bench.sides import BARE, Service, Way
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROBOT_SINK, BASE_SINK, CALLER = "robot_sink", "base_sink", "caller"  # the other processes have their node's name
-BARE = "/bare"  # prefix behind the relay of ten lines
 CROWD = "/crowd_"
 TOPICS_PER_NODE = 2  # of the crowd
 _KEPT_DEPTH = 1000  # longer than any outage
@@ -37,43 +37,6 @@ _APART_S = 0.0037  # no two processes of a robot tick together
 _MOST_NOTED = 2000  # arrivals of a topic in a run without an end
 _LATE_S = 0.1  # a timer that is later, and later than its period, leaves out ticks
 _SWAP_DEPTHS = (11, 10)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Service:
-    """A service on the robot that the base calls, one call after the other.
-
-    Parameters
-    ----------
-    node : process that serves it
-    answer_bytes : length of its answer
-    every_s : time between two calls
-    fails_s : a call without an answer for so long has failed
-    """
-
-    name: str
-    node: str
-    answer_bytes: int
-    every_s: float
-    fails_s: float = math.inf
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Way:
-    """How the nodes publish.
-
-    Parameters
-    ----------
-    is_adaptive : with AdaptivePublishers
-    swap : "retune" or "recreate" every publisher again and again, or neither
-    swap_every_s : time between two swaps of a publisher
-    prefix : of the names under which the base reads what comes from the robot
-    """
-
-    is_adaptive: bool = False
-    swap: str = ""
-    swap_every_s: float = 4.0
-    prefix: str = ""
 
 
 def plain_node(name: str) -> Any:
@@ -319,7 +282,7 @@ class Process:
     """What one process does."""
 
     def __init__(self, world: dict[str, Any], name: str, stack: ExitStack) -> None:
-        topics = [Topic(**{**each, "kinds": tuple(each["kinds"])}) for each in world["topics"]]
+        topics = [Topic(**each) for each in world["topics"]]
         service = Service(**world["service"]) if world["service"] else None
         way, sources = Way(**world["way"]), sources_of(topics)
         node = plain_node(name)

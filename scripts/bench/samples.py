@@ -47,7 +47,6 @@ class Topic:
     size : of a serialized sample, met as nearly as its type allows (bytes)
     node : process that publishes it; BASE = on the other host
     publishers : so many of them
-    kinds : first words of the samples, in turns
     depth, deadline_hz : QoS of its writers (samples; Hz, 0 = none)
     is_kept : nobody may thin it: its queues are deep, and its least rate is above its own
     answers : number of sources whose samples its process sends back, the sample n of the source n modulo their number
@@ -60,7 +59,6 @@ class Topic:
     node: str
     publishers: int = 1
     is_latched: bool = False
-    kinds: tuple[str, ...] = ("",)
     depth: int = 10  # what every rclpy tutorial passes
     deadline_hz: float = 0.0
     is_kept: bool = False
@@ -86,7 +84,7 @@ def class_of(type_name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def message_of(made: Any, kind: str, filler: int) -> Any:
+def message_of(made: Any, filler: int) -> Any:
     """Return a message with the mark in one of its fields, and so many elements of filling."""
     message, name = made(), made.__name__
     if hasattr(message, "header"):
@@ -100,7 +98,7 @@ def message_of(made: Any, kind: str, filler: int) -> Any:
     elif name == "Twist":
         message.linear.x, message.linear.y, message.linear.z = struct.unpack("<3d", _MARK.encode())
     elif name == "String":
-        message.data = kind + _MARK + _FILL.decode() * filler
+        message.data = _MARK + _FILL.decode() * filler
     return message
 
 
@@ -115,30 +113,29 @@ class Template:
     def __init__(self, topic: Topic, source: int = 0) -> None:
         self._source, self._rate_hz = source, topic.rate_hz
         made = class_of(topic.type_name)
-        self._samples = [bytearray(_serialized(made, kind, topic.size)) for kind in topic.kinds]
+        self._sample = bytearray(_serialized(made, topic.size))
         self._has_header = hasattr(made, "header")
-        self._offset = self._samples[0].index(_MARK.encode())  # the kinds' first words are of one length
-        self.size = len(self._samples[0])
-        start = self._samples[0].find(_FILL * _CHECKED_BYTES)
+        self._offset = self._sample.index(_MARK.encode())
+        self.size = len(self._sample)
+        start = self._sample.find(_FILL * _CHECKED_BYTES)
         self._checked = slice(start, self.size - _STRIDE, _STRIDE) if start >= 0 else slice(0)
 
     def sample(self, number: int) -> bytes:
         """Return the sample of this number, sent now."""
-        sample = self._samples[number % len(self._samples)]
         if self._has_header:
             # Samples of one number have one stamp, so that those of a group belong together.
             stamp_ns = round(number * _NANOSECONDS / self._rate_hz)
-            struct.pack_into("<iI", sample, 4, *divmod(stamp_ns, _NANOSECONDS))
-        np.frombuffer(sample, np.uint8)[self._checked] = number % _MODULUS
-        return self.tagged(sample, _TAG % (self._source, number, time.monotonic_ns()))
+            struct.pack_into("<iI", self._sample, 4, *divmod(stamp_ns, _NANOSECONDS))
+        np.frombuffer(self._sample, np.uint8)[self._checked] = number % _MODULUS
+        return self.tagged(_TAG % (self._source, number, time.monotonic_ns()))
 
     def answer(self, source: int, number: int, sent_ns: int) -> bytes:
         """Return a sample with the tag of another one."""
-        return self.tagged(self._samples[0], _TAG % (source, number, sent_ns))
+        return self.tagged(_TAG % (source, number, sent_ns))
 
-    def tagged(self, sample: bytearray, tag: str) -> bytes:
-        sample[self._offset : self._offset + _TAG_BYTES] = tag.encode()
-        return bytes(sample)
+    def tagged(self, tag: str) -> bytes:
+        self._sample[self._offset : self._offset + _TAG_BYTES] = tag.encode()
+        return bytes(self._sample)
 
     def read(self, sample: bytes) -> tuple[int, int, int]:
         """Return source, number and time of publishing (ns) of a sample of any source of the topic; -1 = no tag."""
@@ -153,9 +150,9 @@ class Template:
         return 0 <= len(sample) - self.size < _ALIGNMENT and bool((checked == number % _MODULUS).all())
 
 
-def _serialized(made: Any, kind: str, size: int) -> bytes:
+def _serialized(made: Any, size: int) -> bytes:
     """Return a serialized message of about this size."""
     serialize: Callable[[Any], bytes] = importlib.import_module("rclpy.serialization").serialize_message
-    few, many = (len(serialize(message_of(made, kind, filler))) for filler in (64, 128))
+    few, many = (len(serialize(message_of(made, filler))) for filler in (64, 128))
     filler = max(0, 64 + (size - few) * 64 // (many - few)) if many > few else 0
-    return serialize(message_of(made, kind, filler))
+    return serialize(message_of(made, filler))

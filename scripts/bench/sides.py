@@ -2,22 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
-
-from scripts.bench.nodes import BARE, Service, Way
-from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from scripts.bench.samples import Topic
 
-_LARGE_DATA = {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}
-_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
-_CONFINED = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 PREFIX = "/link"  # of a relay with one end
+BARE = "/bare"  # prefix behind the relay of ten lines
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Service:
+    """A service on the robot that the base calls, one call after the other.
+
+    Parameters
+    ----------
+    node : process that serves it
+    answer_bytes : length of its answer
+    every_s : time between two calls
+    fails_s : a call without an answer for so long has failed
+    """
+
+    name: str
+    node: str
+    answer_bytes: int
+    every_s: float
+    fails_s: float = math.inf
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Way:
+    """How the nodes publish.
+
+    Parameters
+    ----------
+    is_adaptive : with AdaptivePublishers
+    swap : "retune" or "recreate" every publisher again and again, or neither
+    swap_every_s : time between two swaps of a publisher
+    prefix : of the names under which the base reads what comes from the robot
+    """
+
+    is_adaptive: bool = False
+    swap: str = ""
+    swap_every_s: float = 4.0
+    prefix: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -49,40 +81,33 @@ class Side:
     ends : of arpd's relay, or of one in ten lines of rclpy ("bare"); plain nodes stay on their hosts with "two"
     is_governed : `arpd run` and `arpd peer` run, too
     has_profile : the nodes have arpd's Fast DDS profile
-    has_memory : Fast DDS may use shared memory within a host
+    transports : environment of every process; that of two ends keeps nodes on their hosts, as on a real robot
     is_told : the daemon is told the link's course (the bound)
-    tree : source tree of arpd's processes
     warm_up_s : time in which the nodes publish and nothing counts (s)
     """
 
     name: str
-    way: Way = Way()  # noqa: RUF009 - frozen
+    way: Way = Way()
     ends: str = ""
     is_governed: bool = False
     has_profile: bool = False
-    is_over_tcp: bool = False
+    transports: Mapping[str, str] = field(default_factory=dict, hash=False)
     is_told: bool = False
-    has_memory: bool = False
-    tree: Path = REPO
     warm_up_s: float = 4.0
 
-    @property
-    def transports(self) -> dict[str, str]:
-        """Environment of every process; that of two ends keeps nodes on their hosts, as on a real robot."""
-        if self.ends == "two":
-            return _CONFINED
-        return _LARGE_DATA if self.is_over_tcp else _MEMORY if self.has_memory else {}
 
-
+_TCP = {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}
+SHARED = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 _ADAPTIVE: dict[str, Any] = {"way": Way(is_adaptive=True), "is_governed": True, "has_profile": True, "warm_up_s": 8.0}
-_TWO_ENDS: dict[str, Any] = {"ends": "two", "is_governed": True, "warm_up_s": 8.0}
+_CONFINED = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **SHARED}
+_TWO_ENDS: dict[str, Any] = {"ends": "two", "transports": _CONFINED, "is_governed": True, "warm_up_s": 8.0}
 SIDES = {
     side.name: side
     for side in (
         Side(name="plain"),
-        Side(name="large_data", is_over_tcp=True),
+        Side(name="large_data", transports=_TCP),
         Side(name="adaptive", **_ADAPTIVE),
-        Side(name="adaptive_tcp", is_over_tcp=True, **_ADAPTIVE),
+        Side(name="adaptive_tcp", transports=_TCP, **_ADAPTIVE),
         Side(name="two_ends", **_TWO_ENDS),
         Side(name="bound", is_told=True, **_TWO_ENDS),
         Side(name="one_end", way=Way(prefix=PREFIX), ends="one"),

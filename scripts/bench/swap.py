@@ -12,10 +12,9 @@ from typing import Any
 
 from scripts.bench.child import ChildError
 from scripts.bench.links import MBIT
-from scripts.bench.nodes import Way
 from scripts.bench.report import Summary, figure, table
 from scripts.bench.samples import Topic
-from scripts.bench.sides import Robot, Side
+from scripts.bench.sides import Robot, Side, Way
 from scripts.bench.world import world_of
 
 STILL, ADAPTIVE, RECREATE = "no swaps", "adaptive", "destroy+create"

@@ -22,23 +22,27 @@ from pyroute2 import IPRoute, netns
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.account import Account
 from scripts.bench.child import Child, becomes_true
-from scripts.bench.links import at, link_of
+from scripts.bench.links import at
 from scripts.bench.nodes import BASE_SINK, CALLER, ROBOT_SINK
 from scripts.bench.oracle import write_truth
+from scripts.bench.report import REPO
 from scripts.bench.samples import BASE
 from scripts.bench.sides import PREFIX, Robot, Side
 from scripts.netns.namespaces import inside
+from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable, Iterator, Sequence
 
-    from scripts.bench.links import Course, SenderLink
+    from scripts.bench.links import Course
     from scripts.netns.namespaces import HostName
+    from scripts.netns.simlink import Bottleneck
 
 _STATUS_URL = "http://127.0.0.1:9464/api/v1/status"
 _MATCH_S, DRAIN_S, _LEAD_S = 40.0, 4.0, 1.0
 _TICK_S, _FOOTPRINT_S, _LOOK_S = 0.02, 0.5, 0.1
+TREE = "ARPD_BENCH_TREE"  # source tree of arpd's processes
 _LINK_DOMAIN = 102  # SimLink takes lower ones
 
 
@@ -55,7 +59,7 @@ class World:
         self,
         robot: Robot,
         side: Side,
-        link: SenderLink,
+        link: SimLink,
         workdir: Path,
         *,
         slow: Callable[[str, int], None] = lambda _name, _pid: None,
@@ -282,14 +286,11 @@ class World:
             "relay": ("arpd.cli", "relay"),
             "relay_far": ("arpd.cli", "relay", "--far"),
         }[name]
-        tree = self.side.tree
         if self.side.is_told and name == "run":
             command = ("scripts.bench.oracle", "--truth", str(self._truth))
         # Without the safe path, `-m` would take the arpd of the working directory.
-        environment = {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1", **self.side.transports}
-        python = tree / ".venv" / "bin" / "python"
-        argv = [str(python) if python.exists() else sys.executable, "-u", "-m", *command]
-        argv += ["--config", str(self.workdir / "arpd.yaml")]
+        environment = {"PYTHONPATH": os.environ.get(TREE, str(REPO)), "PYTHONSAFEPATH": "1", **self.side.transports}
+        argv = [sys.executable, "-u", "-m", *command, "--config", str(self.workdir / "arpd.yaml")]
         with (self.workdir / f"{name}.log").open("a") as log:
             self.daemons[name] = self.link.popen(
                 host,
@@ -333,7 +334,7 @@ def world_of(
     robot: Robot,
     side: Side,
     *,
-    bottleneck: str = "sender",
+    bottleneck: Bottleneck = "sender",
     rate: float,
     queue_bytes: int = 256_000,
     logs: Path | None = None,
@@ -346,9 +347,9 @@ def world_of(
     ):
         workdir = logs or Path(temporary)
         workdir.mkdir(parents=True, exist_ok=True)
-        link = link_of(
-            bottleneck,
+        link = SimLink(
             f"bench-{os.getpid()}-{threading.get_native_id()}",
+            bottleneck=bottleneck,
             memory=Path(memory),
             is_memory_private=side.name == "large_data",
             rate_bytes_per_second=rate,

@@ -109,6 +109,19 @@ def read_counters(host: Host) -> LinkCounters:
     )
 
 
+def bridge(ports: list[Host], bucket: Bucket) -> None:
+    """Join the cables of both hosts, with a bucket towards each of them."""
+    with IPRoute() as route:
+        route.link("add", ifname="bridge", kind="bridge", br_mcast_snooping=0)
+        joined = route.link_lookup(ifname="bridge")[0]
+        route.link("set", index=joined, state="up")
+        for port in ports:
+            disable_offloads(port.interface)
+            index = route.link_lookup(ifname=port.interface)[0]
+            shape(route, "add", index, bucket)
+            route.link("set", index=index, master=joined, state="up")
+
+
 def disable_ipv6() -> None:
     """Keep router solicitations and duplicate address detection off the link."""
     for scope in ("all", "default"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import re
 import shutil
@@ -12,32 +11,33 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TextIO, TypeVar
 
 from pyroute2 import netns
 
 from arpd.model.errors import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 T = TypeVar("T")
 HostName = Literal["robot", "base"]
 HOST_NAMES: tuple[HostName, HostName] = ("robot", "base")
 
-RUN_DIR = Path("/run/arpd-simlink")
+RUN_DIR = Path("/run/arpd-links")
 NETNS_DIR = Path("/run/netns")
 
 _RUN_ID = re.compile(r"[A-Za-z0-9_.-]{1,40}")
-_NAMESPACE = re.compile(r"arpd-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|base)")
+_NAMESPACE = re.compile(r"simlink-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|base|middle)")
 _GRACE_S = 2.0
 _POLL_S = 0.02
-_TICK_NS = 10**9 // os.sysconf("SC_CLK_TCK")
+#: Locked records of the runs that this process owns; the kernel releases them if it dies.
+_RECORDS: dict[str, TextIO] = {}
 
 
-def namespace_of(run_id: str, host: HostName) -> str:
-    """Return the name of a host's network namespace."""
-    return f"arpd-{run_id}-{host}"
+def namespace_of(run_id: str, host: HostName | Literal["middle"]) -> str:
+    """Return the name of the network namespace of a host, or of what is between them."""
+    return f"simlink-{run_id}-{host}"
 
 
 def executable(name: str) -> str:
@@ -62,8 +62,8 @@ def inside(namespace: str, work: Callable[[], T]) -> T:
         return pool.submit(enter_then_work).result()
 
 
-def claim(run_id: str) -> None:
-    """Record this process as the owner of a run and create its two namespaces.
+def claim(run_id: str, namespaces: Sequence[str]) -> None:
+    """Record this process as the owner of a run and create its namespaces.
 
     Raises
     ------
@@ -77,12 +77,12 @@ def claim(run_id: str) -> None:
             _demolish_stale()
             if (owner := _owner(run_id)) is not None:
                 raise LinkError(f"run id {run_id!r} is in use by process {owner}; choose another or end that process")
-            # Written before the first namespace exists, so that a crash leaves a record of its owner.
-            record = {"pid": os.getpid(), "start_ticks": _start_ticks(os.getpid())}
-            _record_path(run_id).write_text(json.dumps(record), encoding="utf-8")
+            _RECORDS[run_id] = record = _record_path(run_id).open("w", encoding="utf-8")
+            fcntl.flock(record, fcntl.LOCK_EX)
+            print(os.getpid(), file=record, flush=True)
         try:
-            for host in HOST_NAMES:
-                netns.create(namespace_of(run_id, host))
+            for namespace in namespaces:
+                netns.create(namespace)
         except BaseException:
             release(run_id)
             raise
@@ -115,7 +115,7 @@ def _registry_locked() -> Iterator[None]:
 
 def _demolish_stale() -> list[str]:
     named = {match["run_id"] for name in netns.listnetns() if (match := _NAMESPACE.fullmatch(name))}
-    recorded = {path.stem for path in RUN_DIR.glob("*.json")}
+    recorded = {path.stem for path in RUN_DIR.glob("*.pid")}
     stale = sorted(run_id for run_id in named | recorded if _owner(run_id) is None)
     for run_id in stale:
         _demolish(run_id)
@@ -123,11 +123,14 @@ def _demolish_stale() -> list[str]:
 
 
 def _demolish(run_id: str) -> None:
-    namespaces = [namespace_of(run_id, host) for host in HOST_NAMES]
+    own = {namespace_of(run_id, "robot"), namespace_of(run_id, "base"), namespace_of(run_id, "middle")}
+    namespaces = sorted(own & set(netns.listnetns()))
     _end_processes(namespaces)
-    for namespace in set(namespaces) & set(netns.listnetns()):
+    for namespace in namespaces:
         netns.remove(namespace)
     _record_path(run_id).unlink(missing_ok=True)
+    if (record := _RECORDS.pop(run_id, None)) is not None:
+        record.close()
 
 
 def _end_processes(namespaces: list[str]) -> None:
@@ -153,40 +156,16 @@ def _pids_inside(namespaces: list[str]) -> list[int]:
 
 
 def _record_path(run_id: str) -> Path:
-    return RUN_DIR / f"{run_id}.json"
+    return RUN_DIR / f"{run_id}.pid"
 
 
-def _owner(run_id: str) -> int | None:
-    """Return the process that owns a run, None if it is gone; a later process of its id has another start time."""
+def _owner(run_id: str) -> str | None:
+    """Return the process that owns a run, None if it is gone."""
     try:
-        record = json.loads(_record_path(run_id).read_text(encoding="utf-8"))
-        pid, start_ticks = int(record["pid"]), int(record["start_ticks"])
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        with _record_path(run_id).open(encoding="utf-8") as record:
+            fcntl.flock(record, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
         return None
-    started = _start_ticks(pid)
-    # One tick apart where either of the two was rounded in another time namespace.
-    return pid if started is not None and abs(started - start_ticks) <= 1 else None
-
-
-def _start_ticks(pid: int) -> int | None:
-    """Return the start of a process in clock ticks since boot, None if it does not exist or is a zombie."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return None
-    # The second field is the command in parentheses; it may hold spaces and parentheses.
-    fields = stat.rpartition(")")[2].split()
-    if fields[0] in "ZX":
-        return None
-    # The kernel shows it in 64 bits, and moved by the offset of the reader's time namespace (time_namespaces(7)).
-    return (int(fields[19]) * _TICK_NS - _boot_offset_ns()) % 2**64 // _TICK_NS
-
-
-def _boot_offset_ns() -> int:
-    """Return the offset of this time namespace's clock since boot (ns)."""
-    try:
-        lines = Path("/proc/self/timens_offsets").read_text(encoding="ascii").splitlines()
-    except OSError:  # a kernel without time namespaces
-        return 0
-    offsets = {name: 10**9 * int(seconds) + int(rest) for name, seconds, rest in map(str.split, lines)}
-    return offsets.get("boottime", 0)
+    except BlockingIOError:
+        return _record_path(run_id).read_text("utf-8").strip()
+    return None

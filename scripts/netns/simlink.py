@@ -2,20 +2,24 @@
 
 Each host is a network namespace; a veth pair joins them; a token bucket (tbf) with a byte-limited queue shapes each
 end, so real processes and real DDS traffic meet real queueing. An nftables rule drops packets at random where they
-arrive, behind the queue, because on the air a lost packet uses its share of the link, too.
+arrive, behind the queue, because on the air a lost packet uses its share of the link, too. With the bottleneck in the
+middle, the buckets are in a third namespace between the hosts, where no socket of theirs is pushed back.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
+import sys
 import threading
 import time
 import zlib
-from contextlib import contextmanager
+from contextlib import ExitStack, suppress
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pyroute2 import IPRoute, NetlinkError
 
@@ -35,13 +39,16 @@ from scripts.netns.namespaces import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from types import FrameType, TracebackType
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+    from types import FrameType
     from typing import Self
 
     from arpd.model.interface import LinkCounters
 
-__all__ = ["Host", "SimLink", "available", "cleanup_stale", "user_namespace_argv"]
+__all__ = ["Host", "SimLink", "available", "cleanup_stale", "usable_link", "user_namespace_argv"]
+
+Bottleneck = Literal["sender", "middle"]
 
 DEFAULT_RATE_BYTES_PER_SECOND = 2_500_000.0  # 20 Mbit/s
 DEFAULT_QUEUE_BYTES = 256_000  # about the queue of a Wi-Fi driver; 102 ms at 20 Mbit/s, 410 ms at 5 Mbit/s
@@ -49,8 +56,11 @@ INTERFACE = "link0"
 MIN_BURST_BYTES = MTU_BYTES + 40  # a full frame and the rounding of tbf, which drops frames above its bucket size
 
 _TIMER_SLACK_S = 100e-6  # lateness of the kernel's timer up to which the bucket loses no credit
-_ROBOT_INDEX = 77
+_FIRST_INDEX = 77
 _CARRIER_TIMEOUT_S = 5.0
+_CABLE = Bucket(rate_bytes_per_second=125e6, burst_bytes=14_000, queue_bytes=1_000_000)  # a host's, to the middle
+_DISCARD_PORT = 9
+OUTER_PID = "ARPD_OUTER_PID"
 
 
 class SimLink:
@@ -64,9 +74,11 @@ class SimLink:
     run_id : name of the link, so that several can exist at once
     rate_bytes_per_second : rate of each direction, Ethernet headers included (bytes/s)
     queue_bytes : queue in front of each bucket, with tail drop (bytes)
-    burst_bytes : bucket size, at least MIN_BURST_BYTES, None = one frame and 100 us of the rate (bytes)
     loss : probability that an arriving packet is dropped, 0..1
+    bottleneck : whether the buckets are on the senders' interfaces or between the hosts
     domain_id : ROS_DOMAIN_ID of every process inside; None = derived from the run id
+    memory : folder in memory, where each host has its own shared memory; None = that of this machine
+    is_memory_private : each process has its own; two of them with TCP could else use one port of the other host
 
     Attributes
     ----------
@@ -79,23 +91,26 @@ class SimLink:
         *,
         rate_bytes_per_second: float = DEFAULT_RATE_BYTES_PER_SECOND,
         queue_bytes: int = DEFAULT_QUEUE_BYTES,
-        burst_bytes: int | None = None,
         loss: float = 0.0,
+        bottleneck: Bottleneck = "sender",
         domain_id: int | None = None,
+        memory: Path | None = None,
+        is_memory_private: bool = False,
     ) -> None:
         self.run_id = run_id
         self.robot, self.base = _hosts(run_id)
         # Above 101, the ports that DDS derives from the domain meet Linux's ephemeral ports.
         self.domain_id = 1 + zlib.crc32(run_id.encode()) % 101 if domain_id is None else domain_id
+        self._middle = namespace_of(run_id, "middle") if bottleneck == "middle" else None
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
-        if queue_bytes < MIN_BURST_BYTES or (burst_bytes is not None and burst_bytes < MIN_BURST_BYTES):
-            raise ValueError(f"queue and burst must hold one full frame: at least {MIN_BURST_BYTES} bytes")
+        if queue_bytes < MIN_BURST_BYTES:
+            raise ValueError(f"the queue must hold one full frame: at least {MIN_BURST_BYTES} bytes")
         self._queue_bytes = queue_bytes
-        self._fixed_burst_bytes = burst_bytes
         self._loss = _checked_loss(loss)
         self._has_loss_rule = False
+        self._memory, self._is_memory_private = memory, is_memory_private
         self._processes: list[subprocess.Popen[Any]] = []
-        self._sigterm_before: Any = None
+        self._undo = ExitStack()
 
     @property
     def hosts(self) -> tuple[Host, Host]:
@@ -107,41 +122,31 @@ class SimLink:
         """Rate in force in each direction (bytes/s)."""
         return self._rate_bytes_per_second
 
-    @property
-    def loss(self) -> float:
-        """Probability in force that an arriving packet is dropped (0..1)."""
-        return self._loss
-
     def __enter__(self) -> Self:
-        claimed = False
-        self._catch_sigterm()
-        try:
-            with _signals_held_back():
-                claim(self.run_id)
-                claimed = True
+        with ExitStack() as undo:
+            # SIGTERM's default action would skip every `finally`. A handler of the program itself stays.
+            is_main = threading.current_thread() is threading.main_thread()
+            if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+                undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, _exit_on_signal))
+            claim(self.run_id, [*(host.namespace for host in self.hosts), *filter(None, [self._middle])])
+            undo.callback(self._tear_down)
+            try:
                 self._build()
-        except BaseException as error:
-            if claimed:
-                self._tear_down()
-            self._uncatch_sigterm()
-            if isinstance(error, NetlinkError | OSError):
+            except (NetlinkError, OSError) as error:
                 raise LinkError(f"cannot build the simulated link: {error}") from error
-            raise
+            self._undo = undo.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self._tear_down()
-        finally:
-            self._uncatch_sigterm()
+    def __exit__(self, *_: object) -> None:
+        self._undo.close()
 
     def set_rate(self, rate_bytes_per_second: float) -> None:
         """Change the rate of both directions; queued packets stay."""
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
+        for end in self._shaped():
+            inside(end.namespace, partial(link_end.reshape, end, self._bucket()))
         for host in self.hosts:
-            inside(host.namespace, partial(link_end.reshape, host, self._bucket()))
+            inside(host.namespace, partial(_knock, host))
 
     def set_loss(self, loss: float) -> None:
         """Change the probability that an arriving packet is dropped, in both directions (0..1)."""
@@ -171,6 +176,11 @@ class SimLink:
         popen_kwargs : passed to `subprocess.Popen`
         """
         name = host if isinstance(host, str) else host.name
+        if self._memory is not None:  # `ip netns exec` gives the command mounts of its own
+            shared = self._memory / name
+            shared.mkdir(exist_ok=True)
+            mount = "mount -t tmpfs tmpfs" if self._is_memory_private else 'mount --bind "$0"'
+            argv = ["sh", "-c", f'{mount} /dev/shm && exec "$@"', str(shared), *argv]
         command = [executable("ip"), "netns", "exec", namespace_of(self.run_id, name), *argv]
         environment = {**(os.environ if env is None else env), **self.ros_environment()}
         environment.pop("ROS_LOCALHOST_ONLY", None)  # it would keep every message off the link
@@ -188,20 +198,33 @@ class SimLink:
         }
 
     def _build(self) -> None:
-        for host in self.hosts:
-            inside(host.namespace, link_end.disable_ipv6)
+        for namespace in (*filter(None, [self._middle]), *(host.namespace for host in self.hosts)):
+            inside(namespace, link_end.disable_ipv6)
+        ends: list[dict[str, Any]] = [
+            {"ifname": host.interface, "net_ns_fd": host.namespace, "address": host.mac, "mtu": MTU_BYTES}
+            for host in self.hosts
+        ]
+        cables = [(ends[0], ends[1])]
+        if self._middle is not None:
+            ports = ({"ifname": end.interface, "net_ns_fd": end.namespace, "mtu": MTU_BYTES} for end in self._shaped())
+            cables = list(zip(ends, ports, strict=True))
         with IPRoute() as outside:
-            ends = [
-                {"ifname": host.interface, "net_ns_fd": host.namespace, "address": host.mac, "mtu": MTU_BYTES}
-                for host in self.hosts
-            ]
             # The first device of every namespace gets index 2. If both ends of a veth have the same index, the kernel
             # sees a device without a peer, and its carrier may take a second to come up (linkwatch_urgent_event).
-            outside.link("add", kind="veth", index=_ROBOT_INDEX, peer=ends[1], **ends[0])
+            for k, (end, peer) in enumerate(cables):
+                outside.link("add", kind="veth", index=_FIRST_INDEX + k, peer=peer, **end)
         for host in self.hosts:
-            inside(host.namespace, partial(link_end.raise_up, host, self._bucket()))
+            inside(host.namespace, partial(link_end.raise_up, host, self._bucket() if self._middle is None else _CABLE))
+        if self._middle is not None:
+            inside(self._middle, partial(link_end.bridge, self._shaped(), self._bucket()))
         self.set_loss(self._loss)
         self._await_carrier()
+
+    def _shaped(self) -> list[Host]:
+        """Return the interfaces that have the buckets: the hosts', or in the middle those named after the hosts."""
+        if self._middle is None:
+            return list(self.hosts)
+        return [replace(host, namespace=self._middle, interface=host.name) for host in self.hosts]
 
     def _await_carrier(self) -> None:
         """Wait until the kernel uses both buckets; it silently drops earlier packets."""
@@ -213,39 +236,38 @@ class SimLink:
 
     def _bucket(self) -> Bucket:
         rate = self._rate_bytes_per_second
-        burst = _burst_bytes(rate) if self._fixed_burst_bytes is None else self._fixed_burst_bytes
-        return Bucket(rate_bytes_per_second=rate, burst_bytes=burst, queue_bytes=self._queue_bytes)
-
-    def _catch_sigterm(self) -> None:
-        # SIGTERM's default action would skip every `finally`. A handler of the program itself stays.
-        if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            self._sigterm_before = signal.signal(signal.SIGTERM, _exit_on_signal)
-
-    def _uncatch_sigterm(self) -> None:
-        if self._sigterm_before is not None:
-            signal.signal(signal.SIGTERM, self._sigterm_before)
-            self._sigterm_before = None
+        return Bucket(rate_bytes_per_second=rate, burst_bytes=_burst_bytes(rate), queue_bytes=self._queue_bytes)
 
     def _tear_down(self) -> None:
-        with _signals_held_back():
-            for process in self._processes:
-                if process.poll() is None:
-                    process.terminate()  # it may not be in the namespace yet, where `release` looks
-            release(self.run_id)
-            for process in self._processes:
-                process.wait()
+        for process in self._processes:
+            if process.poll() is None:
+                process.terminate()  # it may not be in the namespace yet, where `release` looks
+        release(self.run_id)
+        for process in self._processes:
+            process.wait()
 
 
 def available() -> tuple[bool, str]:
     """Return whether a SimLink works in this process, by building one, and if not, the reason and the way out."""
+    if os.geteuid() != 0:
+        return False, "not root, and not in a user namespace; run it as root"
     try:
-        if os.geteuid() != 0:
-            return False, f"not root; {_user_namespace_verdict()}"
         with SimLink(f"probe-{os.getpid()}-{threading.get_ident()}", loss=0.5) as link:
             link.counters()
     except LinkError as error:
         return False, str(error)
     return True, ""
+
+
+def usable_link(module: str, arguments: Sequence[str]) -> tuple[bool, str]:
+    """Return what `available` does; without root, run the module again as root of a user namespace if that works."""
+    if os.geteuid() != 0:
+        probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
+        if probe.returncode != 0:
+            return False, f"not root, and user namespaces are refused here ({probe.stderr.strip()})"
+        command = user_namespace_argv([sys.executable, "-m", module, *arguments])
+        os.execve(command[0], command, {**os.environ, OUTER_PID: str(os.getpid())})
+    return available()
 
 
 def user_namespace_argv(argv: Sequence[str]) -> list[str]:
@@ -260,13 +282,6 @@ def user_namespace_argv(argv: Sequence[str]) -> list[str]:
         *("--", "sh", "-c", 'mount -t tmpfs tmpfs /run && "$0" link set lo up && exec "$@"', executable("ip")),
         *argv,
     ]
-
-
-def _user_namespace_verdict() -> str:
-    probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
-    if probe.returncode == 0:
-        return "scripts/simlink, or the command line of `user_namespace_argv`, works here without root"
-    return f"and user namespaces are refused here ({probe.stderr.strip()}): run it as root"
 
 
 def _hosts(run_id: str) -> tuple[Host, Host]:
@@ -313,21 +328,8 @@ def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 
-@contextmanager
-def _signals_held_back() -> Iterator[None]:
-    """Deliver SIGINT and SIGTERM after the block, so that no link stays half built or half removed."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    arrived: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _frame: arrived.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for late in arrived:
-            signal.raise_signal(late)
+def _knock(host: Host) -> None:
+    """Send a packet: the kernel looks at a queue that stands when one comes."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as knocking, suppress(OSError):
+        knocking.setblocking(False)  # noqa: FBT003 - its own signature
+        knocking.sendto(b"", (host.peer_address, _DISCARD_PORT))

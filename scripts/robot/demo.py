@@ -12,7 +12,6 @@ import json
 import math
 import os
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -31,7 +30,7 @@ from arpd.sim.schedule import RateSchedule
 from scripts.bench.robots import demo_robot
 from scripts.bench.sides import SIDES, Side
 from scripts.bench.world import world_of
-from scripts.netns.simlink import available, user_namespace_argv
+from scripts.netns.simlink import usable_link
 from scripts.robot.proxy import HTTP_PORT, window
 from scripts.robot.report import Pair, as_document, final_table, losses_text, pair_up, verdict
 
@@ -41,8 +40,7 @@ if TYPE_CHECKING:
 
 FULL = "0:20mbit,20:5mbit,50:20mbit"
 QUICK = "0:20mbit,8:5mbit,26:20mbit"
-_TAIL_S = {FULL: 20.0, QUICK: 12.0}
-_NESTED = "ARPD_DEMO_NESTED"
+TAIL_S = {FULL: 20.0, QUICK: 12.0}
 _LISTENER = "ARPD_DEMO_LISTENER"
 _SHOW_S = 0.5
 _LEGEND = (
@@ -56,7 +54,7 @@ class DemoError(ArpdError):
     """A part of the demo did not start, or the link was bypassed."""
 
 
-def parse(argv: list[str]) -> argparse.Namespace:
+def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="scripts/demo",
         description=__doc__,
@@ -68,16 +66,11 @@ def parse(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--schedule", help=f"rates of the link over time (default {FULL!r})")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
     parser.add_argument("--serve", action="store_true", help="keep the robot with arpd running; print the metrics URL")
-    parser.add_argument(
-        "--simulated", action="store_true", help="use the built-in simulated link (virtual time, no ROS)"
-    )
-    parser.add_argument("--logs", type=Path, help="folder for the processes' logs (default: a temporary one)")
-    return parser.parse_args(argv)
+    return parser.parse_args()
 
 
-def main(argv: list[str] | None = None) -> int:
-    arguments = sys.argv[1:] if argv is None else argv
-    args = parse(arguments)
+def main() -> int:
+    args = parse()
     console = Console(stderr=args.json)
     text = args.schedule or (QUICK if args.quick else FULL)
     try:
@@ -85,23 +78,12 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError as error:
         console.print(f"--schedule: {error}")
         return 2
-    duration_s = schedule.duration_s + _TAIL_S.get(text, 15.0)
+    duration_s = schedule.duration_s + TAIL_S.get(text, 15.0)
     try:
-        usable, reason = (False, "") if args.simulated else _namespaces(arguments, is_serving=args.serve)
-        if args.serve and not usable:
-            raise DemoError(f"--serve needs the real link ({reason or 'not the simulated one'})")
-        if usable:
-            logs = args.logs or Path(tempfile.mkdtemp(prefix="arpd-demo-"))
         if args.serve:
-            serve(logs, schedule, duration_s, console)
+            serve(schedule, duration_s, console)
             return 0
-        if usable:
-            console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
-            pairs = compare_for_real(logs, schedule, duration_s)
-        else:
-            why = f"no network namespaces here ({reason}): " if reason else ""
-            console.print(f"{why}using the built-in simulated link, in virtual time", highlight=False, soft_wrap=True)
-            pairs = compare_simulated(schedule, duration_s)
+        pairs = compare(schedule, duration_s, console)
     except ArpdError as error:
         console.print(f"scripts/demo: {error}", style="red", highlight=False, soft_wrap=True)
         return error.exit_code
@@ -116,6 +98,17 @@ def main(argv: list[str] | None = None) -> int:
         for sentence in (verdict(pairs)[1], *losses_text(pairs), *_LEGEND):
             console.print(sentence, soft_wrap=True, highlight=False)
     return 0
+
+
+def compare(schedule: RateSchedule, duration_s: float, console: Console) -> list[Pair]:
+    """Run both sides one after the other, over the real link or, where namespaces are forbidden, in virtual time."""
+    usable, reason = usable_link("scripts.robot.demo", sys.argv[1:])
+    if not usable:
+        console.print(f"no real link here ({reason}): in virtual time", highlight=False, soft_wrap=True)
+        return compare_simulated(schedule, duration_s)
+    logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
+    console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
+    return compare_for_real(logs, schedule, duration_s)
 
 
 def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float) -> list[Pair]:
@@ -178,10 +171,17 @@ def _result(account: Account, name: str, rate_hz: float) -> TopicResult:
     )
 
 
-def serve(logs: Path, schedule: RateSchedule, duration_s: float, console: Console) -> None:
+def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
     """Keep the robot with arpd running, the schedule repeating, until Ctrl-C."""
+    # A socket stays in the namespace that made it, so this one is reachable from outside a user namespace.
     inherited = os.environ.get(_LISTENER)
     listener = socket.socket(fileno=int(inherited)) if inherited else _listen()
+    listener.set_inheritable(True)
+    os.environ[_LISTENER] = str(listener.fileno())
+    usable, reason = usable_link("scripts.robot.demo", sys.argv[1:])
+    if not usable:
+        raise DemoError(f"--serve needs the real link ({reason})")
+    logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
     course = _course(schedule)
     with (
         suppress(KeyboardInterrupt),
@@ -214,23 +214,6 @@ def _listen() -> socket.socket:
         return socket.create_server(("127.0.0.1", HTTP_PORT))
     except OSError as error:
         raise DemoError(f"cannot listen on port {HTTP_PORT} ({error}); is another --serve running?") from error
-
-
-def _namespaces(arguments: list[str], *, is_serving: bool) -> tuple[bool, str]:
-    """Return whether namespaces work here, or why not; without root, restart as root of a user namespace first."""
-    usable, reason = available()
-    if usable or os.geteuid() == 0 or os.environ.get(_NESTED):
-        return usable, reason
-    if subprocess.run(user_namespace_argv(["true"]), capture_output=True, check=False).returncode == 0:
-        command = user_namespace_argv([sys.executable, "-m", "scripts.robot.demo", *arguments])
-        environment = {**os.environ, _NESTED: "1"}
-        if is_serving:
-            # A socket stays in the namespace that made it, so this one is reachable from outside.
-            listener = _listen()
-            listener.set_inheritable(True)
-            environment[_LISTENER] = str(listener.fileno())
-        os.execve(command[0], command, environment)
-    return False, reason
 
 
 if __name__ == "__main__":

@@ -39,11 +39,7 @@ from scripts.robot.demo import DemoError
 from scripts.robot.proxy import HTTP_PORT, window
 
 if TYPE_CHECKING:
-    from typing import Literal, TypeAlias
-
     from playwright.sync_api import Browser, ViewportSize
-
-    Scheme: TypeAlias = Literal["light", "dark"]
 
 _FAST, _SLOW, _OUT = (20 * MBIT, 0.0), (5 * MBIT, 0.0), (2000.0, 1.0)
 _COURSE = [(0.0, *_FAST), (30.0, *_SLOW), (55.0, *_OUT), (66.0, *_SLOW), (72.0, *_FAST), (97.0, *_SLOW)]
@@ -54,15 +50,9 @@ _FONT = "DejaVu Sans Mono, Liberation Mono, monospace"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="scripts/screenshots", description=__doc__)
-    parser.add_argument("--to", type=Path, default=REPO / "scripts" / "pictures", help="folder (default %(default)s)")
-    parser.add_argument("--of", metavar="URL", help="take pictures of a running daemon, such as the demo's")
-    options = parser.parse_args()
+    argparse.ArgumentParser(prog="scripts/screenshots", description=__doc__).parse_args()
     try:
-        if options.of:
-            take(options.of.rstrip("/"), options.to)
-        else:
-            run_and_take(options.to)
+        run_and_take(REPO / "scripts" / "pictures")
     except ArpdError as error:
         print(f"scripts/screenshots: {error}", file=sys.stderr)
         return error.exit_code
@@ -93,15 +83,11 @@ def take(url: str, folder: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise DemoError("chromium is not installed; apt-get install chromium")
-    folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=_SWITCHES)
         try:
-            desk: ViewportSize = {"width": 1280, "height": 1030}
-            _page(browser, url, folder / "page.png", size=desk, scheme="light")
-            _page(browser, url, folder / "page-dark.png", size=desk, scheme="dark", below="#topics-title")
-            phone: ViewportSize = {"width": 390, "height": 1180}
-            _page(browser, url, folder / "page-phone.png", size=phone, scheme="light", scale=1.25)
+            _page(browser, url, folder / "page.png", size={"width": 1280, "height": 1030})
+            _page(browser, url, folder / "page-phone.png", size={"width": 390, "height": 1180}, scale=1.25)
             _top(browser, url, folder / "top.png")
         finally:
             browser.close()
@@ -109,16 +95,12 @@ def take(url: str, folder: Path) -> None:
         print(f"{path}: {path.stat().st_size / 1024:.0f} KiB")
 
 
-def _page(
-    browser: Browser, url: str, path: Path, *, size: ViewportSize, scheme: Scheme, below: str = "", scale: float = 1.0
-) -> None:
-    context = browser.new_context(viewport=size, color_scheme=scheme, device_scale_factor=scale)
+def _page(browser: Browser, url: str, path: Path, *, size: ViewportSize, scale: float = 1.0) -> None:
+    context = browser.new_context(viewport=size, color_scheme="light", device_scale_factor=scale)
     page = context.new_page()
     page.goto(url)
     page.wait_for_function("() => document.body.dataset.freshness === 'live' && document.querySelector('canvas')")
     page.wait_for_timeout(1500)  # one or two events, so that the charts are up to date
-    if below:
-        page.locator(below).evaluate("(title) => scrollTo(0, title.getBoundingClientRect().top + scrollY - 16)")
     _write(path, page.screenshot())
     context.close()
 

@@ -40,9 +40,10 @@ class Pair:
 
 
 def pair_up(without: Sequence[TopicResult], with_arpd: Sequence[TopicResult]) -> list[Pair]:
-    """Pair the topics of two runs."""
-    managed = {result.topic: result for result in with_arpd}
-    return [Pair(without=result, with_arpd=managed[result.topic]) for result in without]
+    """Pair the topics of two runs; the one that arpd carried most of comes first."""
+    unmanaged = {result.topic: result for result in without}
+    ordered = sorted(with_arpd, key=lambda result: -result.delivered_bytes)
+    return [Pair(without=unmanaged[result.topic], with_arpd=result) for result in ordered]
 
 
 def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
@@ -65,20 +66,26 @@ def losses_text(pairs: Sequence[Pair]) -> list[str]:
     return [f"{topic} lost {lost} samples with arpd." for topic, lost in found.items() if lost]
 
 
+HEADINGS = (
+    *("topic", "source Hz", "latency p50 ms", "latency p99 ms", "loss %", "withheld %"),
+    *("age p50 ms", "age p99 ms", "stalled %", "delivered MB"),
+)
+
+
+def row_of(pair: Pair) -> list[str]:
+    """Return the cells of a topic: ``without → with arpd``."""
+    about = [pair.without.topic, f"{pair.without.source_rate_hz:g}"]
+    return [*about, *map(_arrow, _cells(pair.without), _cells(pair.with_arpd))]
+
+
 def final_table(pairs: Sequence[Pair]) -> Table:
-    """Return both runs side by side, per topic and in all: every cell reads ``without → with arpd``."""
+    """Return both runs side by side, per topic and in all."""
     table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10) → arpd", title_justify="left", pad_edge=False)
-    table.add_column("topic", no_wrap=True)
-    headings = ("source\nHz", "latency p50\nms", "latency p99\nms", "loss\n%", "withheld\n%")
-    for heading in (*headings, "age p50\nms", "age p99\nms", "stalled\n%", "delivered\nMB"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for pair in sorted(pairs, key=lambda pair: -pair.with_arpd.delivered_bytes):
-        table.add_row(
-            pair.without.topic,
-            f"{pair.without.source_rate_hz:g}",
-            *map(_arrow, _cells(pair.without), _cells(pair.with_arpd)),
-            style="bold" if pair.is_overloaded else "",
-        )
+    for k, heading in enumerate(HEADINGS):
+        name, _, unit = heading.rpartition(" ")
+        table.add_column(f"{name}\n{unit}" if k else heading, justify="right" if k else "left", no_wrap=True)
+    for pair in pairs:
+        table.add_row(*row_of(pair), style="bold" if pair.is_overloaded else "")
     table.add_section()
     table.add_row("all", "", *map(_arrow, _totals([p.without for p in pairs]), _totals([p.with_arpd for p in pairs])))
     return table
@@ -116,7 +123,7 @@ def _less(ours: float | None, theirs: float | None) -> bool:
     return ours is not None and (theirs is None or ours < theirs)
 
 
-def milliseconds(value: float | None) -> str:
+def _milliseconds(value: float | None) -> str:
     return "never" if value is None else f"{value * 1e3:.0f}"
 
 
@@ -126,13 +133,13 @@ def _arrow(without: str, with_arpd: str) -> str:
 
 def _cells(result: TopicResult) -> list[str]:
     return [
-        milliseconds(result.latency_p50_s),
-        milliseconds(result.latency_p99_s),
-        percent(result.loss_ratio),
-        percent(result.withheld_ratio),
-        milliseconds(result.age_p50_s),
-        milliseconds(result.age_p99_s),
-        percent(result.stalled_ratio),
+        _milliseconds(result.latency_p50_s),
+        _milliseconds(result.latency_p99_s),
+        _percent(result.loss_ratio),
+        _percent(result.withheld_ratio),
+        _milliseconds(result.age_p50_s),
+        _milliseconds(result.age_p99_s),
+        _percent(result.stalled_ratio),
         f"{result.delivered_bytes / 1e6:.2f}",
     ]
 
@@ -142,17 +149,17 @@ def _totals(results: Sequence[TopicResult]) -> list[str]:
     offered, expected = sum(r.offered for r in results), sum(r.expected for r in results)
     return [
         "",
-        "≤" + milliseconds(_worst([r.latency_p99_s for r in results])),
-        percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
-        percent(_ratio(sum(r.withheld for r in results), offered)),
+        "≤" + _milliseconds(_worst([r.latency_p99_s for r in results])),
+        _percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
+        _percent(_ratio(sum(r.withheld for r in results), offered)),
         "",
-        "≤" + milliseconds(_worst([r.age_p99_s for r in results])),
-        percent(max(0.0, _ratio(expected - offered, expected))),
+        "≤" + _milliseconds(_worst([r.age_p99_s for r in results])),
+        _percent(max(0.0, _ratio(expected - offered, expected))),
         f"{sum(r.delivered_bytes for r in results) / 1e6:.2f}",
     ]
 
 
-def percent(ratio: float) -> str:
+def _percent(ratio: float) -> str:
     return f"{ratio * 100:.1f}"
 
 

@@ -92,13 +92,14 @@ def train_rate(link, source, sink):
 
 
 def namespaces_of(run_id):
-    return [name for name in netns.listnetns() if name.startswith(f"arpd-{run_id}-")]
+    return [name for name in netns.listnetns() if name.startswith(f"simlink-{run_id}-")]
 
 
-def test_floods_and_trains_run_at_the_configured_rate(run_id):
+@pytest.mark.parametrize("bottleneck", ["sender", "middle"])
+def test_floods_and_trains_run_at_the_configured_rate(run_id, bottleneck):
     """At 5 and 20 Mbit/s a flood and even a short packet train have the configured rate."""
     trains, floods = {5: [], 20: []}, {5: [], 20: []}
-    with SimLink(run_id) as link, sender(link) as source, receiver(link) as sink:
+    with SimLink(run_id, bottleneck=bottleneck) as link, sender(link) as source, receiver(link) as sink:
         for mbit in (5, 20) * 3:
             link.set_rate(mbit * MBIT)
             trains[mbit].append(train_rate(link, source, sink) / MBIT)

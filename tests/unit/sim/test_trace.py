@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +12,9 @@ from hypothesis import strategies as st
 from arpd.model.errors import TraceError
 from arpd.sim.trace import read_trace
 from tests.examples import examples
+
+# Not a fixture's: the fuzzer of scripts/bench calls a test without pytest.
+FOLDER = tempfile.TemporaryDirectory(prefix="arpd-test-trace-")
 
 
 @pytest.fixture
@@ -138,9 +144,9 @@ def test_a_bad_trace_is_refused_where_it_goes_wrong(written, content, place, wor
         st.text("0123456789. \t\n", max_size=60),
     )
 )
-def test_whatever_a_file_holds_it_is_a_trace_or_refused(tmp_path_factory, content):
+def test_whatever_a_file_holds_it_is_a_trace_or_refused(content):
     """Any content raises TraceError or gives a trace that can be played."""
-    path = tmp_path_factory.mktemp("trace") / "t"
+    path = Path(FOLDER.name) / "t"
     path.write_bytes(content if isinstance(content, bytes) else content.encode(errors="surrogatepass"))
     try:
         trace = read_trace(path)
