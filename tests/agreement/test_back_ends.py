@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from arpd.model.settings import Backend
 from arpd.solve import cvxpy_, osqp_
 from arpd.solve.backends import Solver
-from arpd.solve.level import TOLERANCE, residual, water_level
+from arpd.solve.level import TOLERANCE, water_level
 from tests.examples import examples
 from tests.unit.solve.test_eq4 import problems
 
@@ -72,15 +72,6 @@ def test_a_back_end_gives_the_shares_of_the_closed_form(seed, backend, draw):
     level, closed = Solver(backend).level(weights, low, high, budget)[0], water_level(weights, low, high, budget)
     shares, truth = (np.clip(each * weights, low, high) for each in (level, closed))
     assert np.abs(shares - truth).max() <= 1.01 * TOLERANCE * budget
-
-
-@pytest.mark.parametrize("backend", LIBRARIES)
-def test_nu_is_the_dual_without_a_kappa(backend):
-    """The library's own ν, in the units of the weights, fills the budget: nothing but the dual of the link decides."""
-    weights, low, high = np.array([1.0, 2.0, 5.0]), np.array([0.0, 0.1, 0.0]), np.array([0.9, 0.9, 0.3])
-    level = LIBRARIES[backend].level(weights, low, high, 0.85)
-    assert level == pytest.approx(0.55 / 3, rel=1e-6)
-    assert residual(level, weights, low, high, 0.85) <= TOLERANCE
 
 
 @examples(150)

@@ -6,6 +6,8 @@ from dataclasses import replace
 from functools import cache
 from random import Random
 
+import pytest
+
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
@@ -55,40 +57,10 @@ def queues(played, start_s, end_s):
 # -- a link that falls
 
 
-def test_a_fall_cuts_the_budget_within_a_second_and_long_before_a_plan():
-    """The budget is below what the link carries within a second, and the plan for it comes seconds later."""
-    ticks = falling().between(FALLS_S, LASTS_S)
-    cut_s = next(tick.t_s for tick in ticks if tick.snapshot.allocation.capacity_bytes_per_second < 5.0 * MBIT)
-    planned_s = next(tick.t_s for tick in ticks if tick.decision.level_changed)
-    assert cut_s < FALLS_S + 1.0 < FALLS_S + 2.0 < planned_s
-    assert falling().plans(FALLS_S, LASTS_S)[0] == "down"
-
-
 def test_small_topics_of_weight_keep_their_rates_through_a_fall():
     """The IMU needs a tenth of what is left, so it sends as before, while the camera gives up most of its rate."""
     assert falling().sent_hz("/imu", FALLS_S + 3.0, LASTS_S) > 0.95 * 100.0
     assert falling().sent_hz("/camera", FALLS_S + 3.0, LASTS_S) < 0.3 * 100.0
-
-
-# -- a link that swings
-
-
-SWING_S, SWINGS_FROM_S, SWINGS_TO_S = 4.0, 12.0, 72.0
-
-
-@cache
-def swinging():
-    count = round((SWINGS_TO_S - SWINGS_FROM_S) / SWING_S)
-    marks = [(SWINGS_FROM_S + k * SWING_S, 20.0 if k % 2 else 5.0) for k in range(count)]
-    return play(at((0, 20), *marks), SWINGS_TO_S), marks
-
-
-def test_a_swing_makes_no_plan_and_no_swap():
-    """Once the plan is made for what lasts, eight swings more neither make a plan nor swap a writer."""
-    played, _ = swinging()
-    assert len(played.plans(SWINGS_FROM_S, SWINGS_TO_S)) <= 2
-    assert played.plans(SWINGS_TO_S - 32.0, SWINGS_TO_S) == []
-    assert len({moment.swaps for moment in played.result.moments if moment.t_s > SWINGS_TO_S - 30.0}) == 1
 
 
 # -- floors that the link cannot carry
@@ -133,14 +105,15 @@ def test_floors_are_back_when_the_link_is():
 DIES_S, RETURNS_S = 13.0, 48.0
 
 
-def test_floors_do_not_flood_a_dying_link_and_traffic_returns_with_it():
-    """At up to 0.25 Mbit/s less than 4 s of it ever wait; 5 s after the return payload fills half of the link."""
-    random = Random("near zero")
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_floors_do_not_flood_a_dying_link_and_traffic_returns_with_it(seed):
+    """At up to 0.25 Mbit/s less than 3 s of it ever wait; 5 s after the return payload fills half of the link."""
+    random = Random(f"near zero {seed}")
     leaving = [(DIES_S + 0.2 * k, 20.0 / 80.0 ** (k / 20)) for k in range(20)]
     low = [(DIES_S + 4.0 + k, 0.01 * 25.0 ** random.random()) for k in range(round(RETURNS_S - DIES_S - 4.0))]
     schedule = at((0, 20), *leaving, *low, (RETURNS_S, 20))
-    played = play(schedule, RETURNS_S + 12.0, settings=FLOORS)
+    played = play(schedule, RETURNS_S + 12.0, settings=FLOORS, seed=seed)
     # The wait of a packet is no measure where the rate itself goes to 0, so this counts what waits.
     waiting = [tick.snapshot.observation.counters.backlog_bytes for tick in played.between(DIES_S + 6.0, RETURNS_S)]
-    assert max(waiting) < 4.0 * 0.25 * MBIT
+    assert max(waiting) < 3.0 * 0.25 * MBIT
     assert goodput(played, RETURNS_S + 5.0, RETURNS_S + 11.0) > 0.5 * 20.0 * MBIT

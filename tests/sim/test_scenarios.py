@@ -219,15 +219,6 @@ def test_an_upload_gets_room_and_gives_it_back():
     assert len(causes) <= 2
 
 
-def test_foreign_noise_swaps_nothing():
-    """Bursts of cross traffic every few seconds move the budget and make no plan."""
-    bursts = tuple(flow(start_s, start_s + 1.5, 1.0) for start_s in range(12, 45, 3))
-    result = play("0:5mbit", 50.0, foreign=bursts)
-    seen = [moment.cross_traffic_bytes_per_second for moment in between(result, 15.0, 45.0)]
-    assert max(seen) > 0.25 * MBIT
-    assert not [moment for moment in result.plans if moment.t_s > 10.0]
-
-
 def test_half_of_the_link_stays_the_robots():
     """A flow that would take everything gets at most half of what the plan is made for."""
     result = play("0:5mbit", 35.0, foreign=(flow(12.0, 35.0, 4.5),))

@@ -15,9 +15,8 @@ from arpd.govern.governor import Governor
 from arpd.host.config.keys import SECTIONS, flatten, kinds_of, needs_restart
 from arpd.host.config.load import load_settings
 from arpd.model.observation import MemoryState
-from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
-from tests.unit.daemon.world import QuietWorld
+from tests.unit.daemon.world import World
 
 DT_S = 1.0
 COURSE_S = 60.0
@@ -91,32 +90,21 @@ FREE = sorted(key for key in CHANGES if not needs_restart(key))
 BOUND = sorted(key for key in CHANGES if needs_restart(key))
 
 
-class World(QuietWorld):
-    """Two topics, and later a third, over a link whose radio has a bit rate; keeps the transitions it was sent."""
+class Robot(World):
+    """Two topics, and later a third, over a link whose radio has a bit rate."""
 
     def __init__(self, settings):
-        super().__init__(settings.graph)
-        self.settings = settings
-        self.sent = []
+        super().__init__(graph=settings.graph, deaf={"/n"}, sensing_topics=2, actuation_topics=0, peers=0)
+        self.sees["memory"] = MemoryState(total_bytes=2**30, available_bytes=2**29)
 
     def observe(self, now_s):
-        names = {"/a": 200.0, "/b": 20_000.0} | ({"/c": 4000.0} if now_s >= LATE_S else {})
-        return observation(
-            now_s,
-            counters=INTERFACE,
-            publishers=tuple(
-                publisher("/n", name, payload_bytes=size, source_rate_hz=200.0, remote_readers=1)
-                for name, size in names.items()
-            ),
-            memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
-            sensing_topics=2 if self.graph.sensing_topics is None else self.graph.sensing_topics,
-            actuation_topics=0 if self.graph.actuation_topics is None else self.graph.actuation_topics,
-            peers=0,
-            radio_bytes_per_second=next((rate for at_s, rate in reversed(RADIO) if now_s >= at_s), None),
-        )
-
-    def apply(self, plan, *, lease_s, missing, now_s):
-        self.sent += ((now_s, plan.topics, lease_s) for _node in missing)
+        sizes = {"/a": 200.0, "/b": 20_000.0} | ({"/c": 4000.0} if now_s >= LATE_S else {})
+        self.publishers = {
+            name: publisher("/n", name, payload_bytes=size, source_rate_hz=200.0, remote_readers=1)
+            for name, size in sizes.items()
+        }
+        self.sees["radio_bytes_per_second"] = next((rate for at_s, rate in reversed(RADIO) if now_s >= at_s), None)
+        return super().observe(now_s)
 
 
 def document(key=None):
@@ -153,7 +141,7 @@ def load(tmp_path_factory):
 
 def course(settings, *, reload=None):
     """Return a daemon's decisions and transitions, tick by tick, and its action on a stop."""
-    world = World(settings)
+    world = Robot(settings)
     now_s = 0.0
     daemon: Any = Daemon(world, settings, interface="w", clock=lambda: now_s)
     if reload is not None:
@@ -210,7 +198,7 @@ def test_a_reloaded_key_is_in_force(load, untouched, key):
 def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
     """The daemon keeps the value in force, and names the key in log, status and metrics."""
     old, new = load(document(key)), load(changed(key))
-    daemon: Any = Daemon(World(old), old, interface="w", clock=lambda: 0.0)
+    daemon: Any = Daemon(Robot(old), old, interface="w", clock=lambda: 0.0)
     assert daemon.reload(lambda: new)
     assert daemon.settings == old
     differing = {name for name in flatten(old) | flatten(new) if flatten(old).get(name) != flatten(new).get(name)}
@@ -224,8 +212,8 @@ def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
 # -- whole or not at all
 
 
-def daemon_of(settings, world=None):
-    return Daemon(world or World(settings), settings, interface="w", clock=lambda: 0.0)
+def daemon_of(settings):
+    return Daemon(Robot(settings), settings, interface="w", clock=lambda: 0.0)
 
 
 @pytest.mark.parametrize("part", [World, Estimator, Governor])
@@ -241,7 +229,7 @@ def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch
             raise failure
 
     monkeypatch.setattr(part, "reconfigure", break_once)
-    world, now_s = World(old), 0.0
+    world, now_s = Robot(old), 0.0
     daemon: Any = Daemon(world, old, interface="w", clock=lambda: now_s)
     with pytest.raises(RuntimeError, match="broken"):
         daemon.reload(lambda: new)
@@ -291,9 +279,10 @@ def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
 def test_what_changed_is_logged_and_counted(load, caplog):
     """Each changed key has a line, keys that wait for a restart count apart, and an unchanged file makes no plan."""
     caplog.set_level("INFO")
-    world = World(load(document()))
-    now_s = 0.0
-    daemon: Any = Daemon(world, world.settings, interface="w", clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s)
+    settings, now_s = load(document()), 0.0
+    daemon: Any = Daemon(
+        Robot(settings), settings, interface="w", clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s
+    )
     while daemon.tick(now_s).plan.generation == 0:
         now_s += DT_S
     wanted = changed("http.port") | {"on_stop": "keep", "program": {"deadline_slack": 2}}

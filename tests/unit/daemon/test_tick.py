@@ -9,61 +9,36 @@ import pytest
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.observation import MemoryState
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
-from tests.sample_link import INTERFACE, LINK, observation
+from tests.sample_link import LINK
 from tests.sample_publishers import publisher
-from tests.unit.daemon.world import QuietWorld
+from tests.unit.daemon.world import World
 
 TOPIC = "/t"
 MS = 1_000_000
 
 
-class World(QuietWorld):
-    """A publisher with a predecessor's plan, which announces a new row a second after its call."""
+class Robot(World):
+    """A publisher with a predecessor's plan, which announces a new row a second after it was sent."""
 
-    def __init__(self, *, deaf=()):
-        super().__init__(graph=None)
-        self.now_s = 0.0
-        self.sent = []
-        self.active_daemon = ""
-        self._deaf = deaf
-        self._pending = []
-        self.writer = publisher("/w", TOPIC, deadline_ns=80 * MS, baseline_deadline_ns=90 * MS, depth=20, generation=7)
-
-    def observe(self, now_s):
-        for at_s, change in tuple(self._pending):
-            if at_s <= now_s:
-                change()
-                self._pending.remove((at_s, change))
-        return observation(
-            now_s,
-            counters=INTERFACE,
-            publishers=(self.writer,),
-            memory=MemoryState(total_bytes=2**30, available_bytes=2**29),
-            other_daemons=(self.active_daemon,) if self.active_daemon else (),
-            active_daemon=self.active_daemon,
+    def __init__(self, **options):
+        super().__init__(
+            publisher("/w", TOPIC, deadline_ns=80 * MS, baseline_deadline_ns=90 * MS, depth=20, generation=7),
+            takes_s=1.0,
+            **options,
         )
+        self.now_s = 0.0
 
-    def apply(self, plan, *, lease_s, missing, now_s):
-        assert lease_s == 0.0
-        for node in missing:
-            if node in self._deaf or (node, plan.topics) in self.sent:
-                continue
-            self.sent.append((node, plan.topics))
-            self._pending.append((now_s + 1.0, lambda: self._take(plan)))
+    @property
+    def writer(self):
+        return self.publishers[TOPIC]
 
-    def _take(self, plan):
-        for row in plan.topics.values():
-            self.writer = replace(
-                self.writer,
-                generation=plan.generation,
-                rate_hz=row.rate_hz,
-                paced_rate_hz=row.rate_hz,
-                depth=row.depth,
-                deadline_ns=row.deadline_ns,
-            )
+    def change(self, **fields):
+        self.publishers[TOPIC] = replace(self.writer, **fields)
+
+    def hear(self, daemon):
+        self.sees |= {"other_daemons": (daemon,) if daemon else (), "active_daemon": daemon}
 
     def wait(self, seconds):
         self.now_s += seconds
@@ -76,7 +51,7 @@ def restored(world):
 
 def test_a_clean_stop_restores_the_application_s_qos():
     """A publisher returns to its application's QoS, by a plan that is not older than its own."""
-    world = World()
+    world = Robot()
     assert restored(world) == 0
     assert (world.writer.depth, world.writer.deadline_ns) == (10, 90 * MS)
     assert world.writer.generation >= 7
@@ -84,8 +59,8 @@ def test_a_clean_stop_restores_the_application_s_qos():
 
 def test_a_clean_stop_gives_the_rates_back_last():
     """QoS comes first, at the paced rate, because a weak link could not prove a new writer at the full rate."""
-    world = World()
-    world.writer = replace(world.writer, rate_hz=8.0, paced_rate_hz=5.0)
+    world = Robot()
+    world.change(rate_hz=8.0, paced_rate_hz=5.0)
     assert restored(world) == 0
     rows = [topics[TOPIC] for node, topics in world.sent if node == "/w"]
     assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
@@ -94,17 +69,17 @@ def test_a_clean_stop_gives_the_rates_back_last():
 
 def test_a_clean_stop_gives_up_on_a_node_that_is_gone():
     """A publisher that does not answer is counted, and the daemon ends all the same."""
-    world = World(deaf={"/w"})
+    world = Robot(deaf={"/w"})
     assert restored(world) == 1
     assert world.now_s < 20.0
 
 
 def test_a_daemon_that_stands_by_only_watches():
     """While another daemon is active it sets, probes and restores nothing, and says why; then it takes over."""
-    world = World()
+    world = Robot()
     events: list[Any] = []
     daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=events.append)
-    world.active_daemon = "robot-2"
+    world.hear("robot-2")
     for _ in range(100):
         world.now_s += 0.1
         daemon.tick(world.now_s)
@@ -113,7 +88,7 @@ def test_a_daemon_that_stands_by_only_watches():
     assert not world.sent
     assert "robot-2" in daemon.status_line()
     assert [event.kind for event in events].count("standing_by") == 1
-    world.active_daemon = ""
+    world.hear("")
     world.now_s += 0.1
     daemon.tick(world.now_s)
     assert world.prices
@@ -123,13 +98,13 @@ def test_a_daemon_that_stands_by_only_watches():
 @pytest.mark.parametrize("stage", ["observe", "solve"])
 def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     """Such a tick sends nothing, and the next one that succeeds continues from the last good one."""
-    world: Any = World()
-    world.active_daemon = "robot-2"
+    world: Any = Robot()
+    world.hear("robot-2")
     settings = Settings(link=LinkSettings(capacity_bytes_per_second=1e6))
     daemon: Any = Daemon(world, settings, interface="lo", clock=lambda: 0.0)
     daemon.tick(0.0)
-    world.active_daemon = ""
-    world.writer = replace(world.writer, direction=Direction.SENSING, remote_readers=1)
+    world.hear("")
+    world.change(direction=Direction.SENSING, remote_readers=1)
     for tick in range(31):
         daemon.tick(0.1 * tick)
     before, prices = daemon.snapshot, len(world.prices)
@@ -170,7 +145,7 @@ class KnownLink:
 def test_it_plans_twice_a_second_and_at_once_on_news():
     """Between two plans only the price follows the link; another state of the link is news."""
     link = KnownLink()
-    daemon: Any = Daemon(World(), Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
+    daemon: Any = Daemon(Robot(), Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
     for tick in range(10):
         daemon.tick(0.1 * tick)
     assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (2, 6)
@@ -181,8 +156,8 @@ def test_it_plans_twice_a_second_and_at_once_on_news():
 
 def test_the_price_follows_the_link_within_a_tick():
     """The tick that sees another capacity sends another price, and no plan."""
-    world, link = World(), KnownLink()
-    world.writer = replace(world.writer, source_rate_hz=100.0, remote_readers=1)
+    world, link = Robot(), KnownLink()
+    world.change(source_rate_hz=100.0, remote_readers=1)
     daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
     for tick in range(19):
         daemon.tick(0.1 * tick)

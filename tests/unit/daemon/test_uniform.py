@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from arpd.daemon.tick import TICK_S, Daemon
-from arpd.model.observation import MemoryState
 from arpd.model.settings import (
     DefaultPreferences,
     GraphSettings,
@@ -19,54 +17,22 @@ from arpd.model.settings import (
     Settings,
 )
 from arpd.model.wire import wire_size
-from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
-from tests.unit.daemon.world import QuietWorld
+from tests.unit.daemon.world import World
 from tests.unit.solve.test_eq4 import TABLE_2
 
 PAYLOAD_BYTES, SOURCE_HZ = 100.0, 1000.0
 WIRE_BYTES = wire_size(PAYLOAD_BYTES, rate_hz=SOURCE_HZ)[0]
 
 
-class World(QuietWorld):
-    """Publishers that take every row at once, on a graph that has more topics than those."""
-
-    def __init__(self, settings, managed=12):
-        super().__init__(settings.graph)
-        self.seen = managed
-        self.publishers = {
-            f"/t{i:02}": publisher(
-                "/n", f"/t{i:02}", payload_bytes=PAYLOAD_BYTES, source_rate_hz=SOURCE_HZ, remote_readers=1
-            )
-            for i in range(managed)
-        }
-
-    def observe(self, now_s):
-        pinned = self.graph
-        return observation(
-            now_s,
-            counters=INTERFACE,
-            publishers=tuple(self.publishers.values()),
-            memory=MemoryState(total_bytes=2**33, available_bytes=2**32),
-            sensing_topics=self.seen - 1 if pinned.sensing_topics is None else pinned.sensing_topics,
-            actuation_topics=1 if pinned.actuation_topics is None else pinned.actuation_topics,
-            peers=0,
-        )
-
-    def apply(self, plan, *, lease_s, missing, now_s):
-        for name, row in plan.topics.items() if missing else ():
-            self.publishers[name] = replace(
-                self.publishers[name],
-                generation=plan.generation,
-                lease_s=lease_s,
-                rate_hz=row.rate_hz,
-                depth=row.depth,
-                deadline_ns=row.deadline_ns,
-            )
+PUBLISHERS = [
+    publisher("/n", f"/t{i:02}", payload_bytes=PAYLOAD_BYTES, source_rate_hz=SOURCE_HZ, remote_readers=1)
+    for i in range(12)
+]
 
 
 class Robot:
-    """A daemon with the uniform policy over such a world."""
+    """A daemon with the uniform policy, and a graph that may have more topics than those that it manages."""
 
     def __init__(self, max_rate_hz=200.0, **settings):
         self.settings = Settings(
@@ -80,7 +46,7 @@ class Robot:
             }
         )
         self.now_s = 0.0
-        self.world = World(self.settings)
+        self.world = World(*PUBLISHERS, graph=self.settings.graph, sensing_topics=11, actuation_topics=1, peers=0)
         self.daemon: Any = Daemon(self.world, self.settings, interface="w", clock=lambda: self.now_s)
 
     def run(self, seconds):
@@ -120,7 +86,7 @@ def test_a_topic_that_arpd_does_not_manage_counts():
     robot = Robot(800.0)
     robot.run(3.0)
     (before_hz,), (before,) = robot.rates_hz, {row.deadline_ns for row in robot.rows}
-    robot.world.seen = 24
+    robot.world.sees["sensing_topics"] = 23
     assert robot.run(0.3) == []
     (after_hz,) = robot.rates_hz
     assert (before_hz, after_hz) == (pytest.approx(800 / 12 - 1, rel=0.01), pytest.approx(800 / 24 - 1, rel=0.01))
@@ -132,7 +98,6 @@ def test_a_topic_that_arpd_does_not_manage_counts():
 def test_pinned_counts_replace_those_of_the_graph():
     """N is the sum of the counts in ``graph``."""
     robot = Robot(graph=GraphSettings(sensing_topics=30, actuation_topics=10))
-    robot.world.seen = 12
     robot.run(3.0)
     assert robot.daemon.snapshot.allocation.uniform.topics == 40
     assert [*robot.rates_hz] == pytest.approx([200 / 40 - 1], rel=0.01)

@@ -1,17 +1,59 @@
-"""The part of a daemon's world that most tests do not look at."""
+"""The world of a daemon: publishers that take its plans, and what it sends besides."""
 
 from __future__ import annotations
 
-from arpd.model.observation import Glance
+from dataclasses import replace
+
+from arpd.model.observation import Glance, MemoryState
+from arpd.model.settings import GraphSettings
+from tests.sample_link import INTERFACE, observation
 
 
-class QuietWorld:
-    """Keeps the prices and the probes that it is given, and has news at every glance."""
+class World:
+    """Publishers that take each plan a while after it was sent; a daemon that looks has news at every glance.
 
-    def __init__(self, graph):
-        self.graph = graph
-        self.prices = []
-        self.probes = []
+    Parameters
+    ----------
+    takes_s : time until a plan is announced (s)
+    deaf : nodes that take nothing
+    sees : what the daemon observes besides
+    """
+
+    def __init__(self, *publishers, graph=None, takes_s=0.0, deaf=(), **sees):
+        self.publishers = {each.topic: each for each in publishers}
+        self.graph, self.takes_s, self.deaf = graph or GraphSettings(), takes_s, deaf
+        self.sees = {"memory": MemoryState(total_bytes=2**33, available_bytes=2**32), **sees}
+        self.prices, self.probes = [], []
+        self.sent = []  # nodes and rows
+        self._due = []  # time, plan, lease of what was sent and not taken
+
+    def observe(self, now_s):
+        for _, plan, lease_s in (due for due in self._due if due[0] <= now_s):
+            self._take(plan, lease_s)
+        self._due = [due for due in self._due if due[0] > now_s]
+        counts = {"sensing_topics": self.graph.sensing_topics, "actuation_topics": self.graph.actuation_topics}
+        pinned = {name: count for name, count in counts.items() if count is not None}
+        publishers = tuple(self.publishers.values())
+        return observation(now_s, counters=INTERFACE, publishers=publishers, **{**self.sees, **pinned})
+
+    def apply(self, plan, *, lease_s, missing, now_s):
+        for node in missing:
+            if (node, plan.topics) not in self.sent:
+                self.sent.append((node, plan.topics))
+                if node not in self.deaf:
+                    self._due.append((now_s + self.takes_s, plan, lease_s))
+
+    def _take(self, plan, lease_s):
+        for name, row in plan.topics.items():
+            self.publishers[name] = replace(
+                self.publishers[name],
+                generation=plan.generation,
+                lease_s=lease_s,
+                rate_hz=row.rate_hz,
+                paced_rate_hz=row.rate_hz,
+                depth=row.depth,
+                deadline_ns=row.deadline_ns,
+            )
 
     def set_price(self, price):
         self.prices.append(price)

@@ -37,36 +37,18 @@ def about(capacity):
 
 # -- to which side each kind errs
 
+BUSY, CARRIED, TRAIN = CapacityBelief.delivered_busy, CapacityBelief.carried, CapacityBelief.train
+
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 1.0, 2.0, 10.0])
-def test_a_busy_link_delivers_its_capacity(part):
-    """What a busy link delivers counts in both directions."""
-    assert after(lambda belief: belief.delivered_busy(part * C), times=3) == about(part * C)
-
-
-@pytest.mark.parametrize("part", [0.01, 0.5, 0.9])
-def test_what_was_carried_lowers_nothing(part):
-    """A link that carried little may carry more."""
-    assert after(lambda belief: belief.carried(part * C), times=20) > 0.9 * C
-
-
-@pytest.mark.parametrize("part", [1.5, 10.0])
-def test_what_was_carried_is_a_lower_bound(part):
-    """A link that carried more than was believed carries at least that."""
-    assert after(lambda belief: belief.carried(part * C), times=5) > 0.95 * part * C
-
-
-@pytest.mark.parametrize("part", [1.5, 10.0])
-def test_trains_that_see_more_are_right(part):
-    """Two trains that agree on much more are believed."""
-    assert after(lambda belief: belief.train(part * C), times=2) == about(part * C)
-
-
-@pytest.mark.parametrize("part", [0.2, 0.5])
-def test_trains_that_see_less_may_be_wrong(part):
-    """One train that reads low lowers little, and many that agree lower to what they see."""
-    assert after(lambda belief: belief.train(part * C)) > 0.9 * C
-    assert after(lambda belief: belief.train(part * C), times=8) == about(part * C)
+@pytest.mark.parametrize(("kind", "times"), [(BUSY, 3), (CARRIED, 20), (TRAIN, 8)])
+def test_every_kind_of_evidence_counts_and_what_was_carried_lowers_nothing(kind, times, part):
+    """What a busy link delivers and what trains agree on counts both ways; what was carried is a lower bound."""
+    stated = after(lambda belief: kind(belief, part * C), times)
+    if kind is CARRIED:
+        assert stated > 0.9 * max(1.0, part) * C
+    else:
+        assert stated == about(part * C)
 
 
 @pytest.mark.parametrize(("part", "was_idle"), [(0.9, True), (0.6, False)])
@@ -81,13 +63,12 @@ def test_pings_show_by_and_by_how_busy_a_link_is(part, was_idle):
     assert abs(pinged(5, weight=0.2) / C - 1.0) < abs(pinged(5) / C - 1.0)
 
 
-@pytest.mark.parametrize("part", [0.2, 5.0])
-@pytest.mark.parametrize("kind", [CapacityBelief.delivered_busy, CapacityBelief.train])
+@pytest.mark.parametrize("part", [0.2, 0.5, 5.0])
+@pytest.mark.parametrize("kind", [BUSY, TRAIN])
 def test_one_outlier_is_not_believed_and_two_are(kind, part):
-    """A reading far from everything before is noise, until a second one agrees."""
+    """A reading far from everything before is noise, until a second one agrees; trains are more often too low."""
     assert after(lambda belief: kind(belief, part * C)) == pytest.approx(C, rel=0.25)
-    times = 2 if kind is CapacityBelief.delivered_busy or part > 1.0 else 8
-    assert after(lambda belief: kind(belief, part * C), times) == about(part * C)
+    assert (kind is TRAIN and part < 1.0) or after(lambda belief: kind(belief, part * C), times=2) == about(part * C)
 
 
 def test_new_evidence_outweighs_any_amount_of_old():
@@ -100,36 +81,6 @@ def test_new_evidence_outweighs_any_amount_of_old():
         belief.wait(500.0 + 0.1 * look)
         belief.delivered_busy(0.2 * C)
     assert belief.stated(math.inf) == about(0.2 * C)
-
-
-# -- time
-
-
-def doubt(belief):
-    """Return the distance of a high and a low quantile, of the logarithm."""
-    return math.log(belief._quantile(0.9) / belief._quantile(0.1))
-
-
-def test_time_makes_it_less_sure():
-    """Without evidence the link may have drifted or jumped, so doubt grows, and the capacity stays for a while."""
-    belief = sure()
-    doubts = []
-    for tenths in range(1, 100):
-        belief.wait(0.1 * tenths)
-        doubts.append(doubt(belief))
-        assert tenths > 10 or belief.stated(math.inf) == about(C)
-    assert doubts == sorted(doubts)
-
-
-def test_a_jump_makes_it_less_sure_at_once():
-    """After an outage the link may be another one."""
-    belief = sure()
-    before = doubt(belief)
-    belief.scatter(0.7)
-    assert doubt(belief) > 2.0 * before
-    belief.train(5.0 * C)
-    belief.train(5.0 * C)
-    assert belief.stated(math.inf) == about(5.0 * C)
 
 
 # -- any evidence
@@ -145,8 +96,8 @@ EVIDENCE = st.one_of(
 
 
 @given(RATES, st.lists(EVIDENCE, max_size=40))
-def test_any_evidence_leaves_probabilities(first, evidence):
-    """At any evidence the probabilities are finite, positive and sum to one, and quantiles ascend within the grid."""
+def test_any_evidence_leaves_a_capacity(first, evidence):
+    """At any evidence the belief divides by nothing, overflows nowhere, and states a capacity within its grid."""
     now_s = 0.0
     with np.errstate(divide="raise", over="raise", invalid="raise"):
         belief = CapacityBelief(first)
@@ -159,9 +110,4 @@ def test_any_evidence_leaves_probabilities(first, evidence):
                     belief.ping(rate, was_idle=was_idle, weight=weight)
                 case _, (value,):
                     getattr(belief, kind)(value)
-            assert belief._p.sum() == pytest.approx(1.0, abs=1e-6)
-            assert np.isfinite(belief._p).all()
-            assert (belief._p > 0.0).all()
-            quantiles = [belief._quantile(part) for part in (0.0, 0.05, 0.3, 0.45, 0.5, 0.95, 1.0)]
-            assert quantiles == sorted(quantiles)
-            assert 400.0 < quantiles[0] <= belief.stated(math.inf) <= quantiles[-1] < math.inf
+            assert 400.0 < belief.stated(math.inf) < math.inf

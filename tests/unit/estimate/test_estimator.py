@@ -11,12 +11,11 @@ from arpd.estimate import parameters
 from arpd.estimate.estimator import Estimator
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState
-from arpd.model.link import MOST_YIELDED, CapacityKind, EstimatorEvent, LinkState
+from arpd.model.link import CapacityKind, EstimatorEvent, LinkState
 from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
-from arpd.model.wire import probe_wire_bytes
 from tests.examples import examples
-from tests.sample_link import INTERFACE, LINK, observation
+from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
 
 FIRST = 2.0e6
@@ -158,44 +157,12 @@ def test_bytes_that_wait_here_are_a_queue_before_a_ping_shows_it():
     assert estimate.queue_delay_s == about(200_000 / (0.8 * FIRST))
 
 
-def test_one_late_ping_is_no_fall():
-    """A single delayed ping changes little."""
-    link = Link().measured()
-    link.tick(rate=5e5, delay_s=0.1)
-    assert link.ticks(5, rate=5e5).capacity_bytes_per_second > 0.8 * FIRST
-
-
 @pytest.mark.parametrize("part", [0.97, 1.5])
 def test_a_queue_that_delivers_as_much_or_more_is_no_fall(part):
     """A busy link has the capacity that it delivers: a queue only means that too much was sent."""
     estimate = Link().measured().ticks(14, rate=part * FIRST, delay_s=0.3)
     assert estimate.capacity_bytes_per_second == about(part * FIRST)
     assert estimate.state in {LinkState.CONGESTED, LinkState.DRAINING}
-
-
-def test_two_trains_that_agree_on_more_are_believed():
-    """One train that sees much more is an outlier; with a second one the link became better."""
-    link = Link().measured()
-    assert link.tick(trains=[4 * FIRST]).capacity_bytes_per_second < 1.3 * FIRST
-    estimate = link.tick(trains=[4 * FIRST])
-    assert estimate.capacity_bytes_per_second == about(4 * FIRST)
-    assert "trains see" in estimate.evidence
-
-
-def test_a_train_with_a_sample_in_it_is_no_fall():
-    """Another message inside a train makes it read low, so single low trains change little."""
-    link = Link().measured()
-    for train in [FIRST, 0.3 * FIRST, FIRST, FIRST, 0.5 * FIRST, FIRST]:
-        assert link.tick(trains=[train]).capacity_bytes_per_second > 0.75 * FIRST
-    assert link.tick(trains=[FIRST]).capacity_bytes_per_second == about(FIRST)
-
-
-@pytest.mark.parametrize(("sent", "is_evidence"), [(2 * FIRST, True), (1e5, False)])
-def test_hole_3_a_download_into_the_peer_is_no_capacity(sent, is_evidence):
-    """What arrives is a lower bound, as far as this host sent it; the rest is someone else's."""
-    estimate = Link().measured().ticks(20, rate=2 * FIRST, sent=sent)
-    assert (estimate.capacity_bytes_per_second > 1.8 * FIRST) is is_evidence
-    assert (estimate.capacity_bytes_per_second < 1.3 * FIRST) is not is_evidence
 
 
 def test_hole_2_samples_that_stay_on_the_host_are_no_bursts():
@@ -289,36 +256,6 @@ def test_a_queue_that_nobody_measures_now_is_forgotten():
     assert pinned.tick(silent=True).queue_delay_s == 0.0
 
 
-# -- cross traffic
-
-
-@pytest.mark.parametrize("link", [Link().measured(), Link(capacity_bytes_per_second=FIRST)], ids=["measured", "pinned"])
-def test_cross_traffic_reduces_only_what_is_available(link):
-    """A measured or pinned capacity is that of the whole link; cross traffic is subtracted from it."""
-    estimate = link.ticks(60, sent=5e5)
-    assert estimate.capacity_bytes_per_second == about(FIRST)
-    assert 4.2e5 < estimate.cross_traffic_bytes_per_second < 5e5
-    left = estimate.capacity_bytes_per_second - estimate.cross_traffic_bytes_per_second
-    assert estimate.available_bytes_per_second == left
-
-
-@given(st.just(0.0) | st.floats(1e-3, 1e9), st.floats(0.0, 1e9))
-def test_at_most_half_is_yielded(capacity, cross_traffic):
-    """At any cross traffic half of the capacity stays available."""
-    estimate = replace(LINK, capacity_bytes_per_second=capacity, cross_traffic_bytes_per_second=cross_traffic)
-    assert MOST_YIELDED * capacity <= estimate.available_bytes_per_second <= capacity
-
-
-def test_its_own_probes_are_no_cross_traffic():
-    """The many large trains of the first seconds count as our own."""
-    link = Link()
-    for _ in range(60):
-        sent = sum(probe.packets * probe_wire_bytes(probe.packet_bytes) for _, probe in link.probes)
-        estimate = link.tick(counters=replace(INTERFACE, tx_bytes=sent), peers=1)
-        assert estimate.cross_traffic_bytes_per_second == 0.0
-    assert sent > 6 * 40_000
-
-
 # -- whether pings and looks meet a queue
 
 CAMERA = publisher("/camera", "/image", payload_bytes=30_000)  # 15 ms of the link, so its queue shows in pings
@@ -359,14 +296,6 @@ def test_only_what_may_be_news_is_worth_an_update():
     assert [link.estimator.needs_look(link.now_s + late_s, 0) for late_s in (0.0, 0.07)] == [False, True]
 
 
-@pytest.mark.parametrize("trouble", [{"silent": True, "counters": None}, FALLEN, {"silent": True}])
-def test_a_link_in_trouble_is_always_worth_an_update(trouble):
-    """While it is out or a queue stands, no look is spared."""
-    link = Link().measured()
-    link.ticks(20, **trouble)
-    assert link.estimator.needs_look(link.now_s, 0)
-
-
 # -- no peer
 
 
@@ -391,22 +320,6 @@ def test_alone_the_queue_of_this_host_shows_the_capacity(how):
     assert estimate.events_by_kind.keys() <= {EstimatorEvent.LOCAL, EstimatorEvent.OUTAGE}
 
 
-@pytest.mark.parametrize(("backlog", "state"), [(0, LinkState.APP_LIMITED), (200_000, LinkState.CONGESTED)])
-def test_alone_a_queue_of_this_host_is_a_congested_link(backlog, state):
-    """Without a peer the queue before the interface tells the state."""
-    assert sent_alone(Link(), 30, backlog=backlog).state is state
-
-
-def test_a_host_that_lost_its_peer_learns_alone():
-    """When the peer is gone, the queue of this host counts, and nobody claims new trains."""
-    link = Link().measured()
-    link.ticks(5, silent=True, peers=0)
-    estimate = sent_alone(link, 130, backlog=200_000, peers=0)
-    assert estimate.kind is CapacityKind.LOCAL
-    assert estimate.capacity_bytes_per_second == about(300_000, 0.15)
-    assert estimate.events_by_kind["first"] == 1
-
-
 def test_a_peer_that_returns_needs_new_trains():
     """What was measured before the peer left does not count when it is back; three new trains do."""
     link = Link().measured()
@@ -428,12 +341,6 @@ def test_more_looks_at_the_same_bytes_are_no_more_evidence(looks):
         counters = replace(INTERFACE, tx_bytes=round(link.sent), backlog_bytes=400_000)
         estimate = link.estimator.update(observation(link.now_s, counters=counters, peers=0))
     assert estimate.capacity_bytes_per_second < 1.3 * 300_000
-
-
-def test_hole_5_alone_a_dropped_packet_changes_nothing():
-    """An idle link has bad moments, so packets that are dropped are no sign of a slow one."""
-    estimate = sent_alone(Link(), 100, dropped=1)
-    assert (estimate.capacity_bytes_per_second, estimate.kind) == (FIRST, CapacityKind.CONFIGURED)
 
 
 @pytest.mark.parametrize("counters", [None, replace(INTERFACE, state=InterfaceState.DOWN)])
@@ -487,19 +394,6 @@ def test_alone_the_radio_bounds_the_belief():
 
 
 # -- evidence, age, events
-
-
-def test_the_evidence_tells_the_last_change():
-    """The evidence names the last change and the capacity, and the age counts from the newest evidence."""
-    link = Link().measured()
-    assert f"{link.tick().capacity_bytes_per_second * 8e-6:.2f} Mbit/s: " in link.tick().evidence
-    fallen = link.ticks(10, **FALLEN)
-    assert "queue of" in fallen.evidence
-    assert f"{fallen.capacity_bytes_per_second * 8e-6:.2f} Mbit/s: " in fallen.evidence
-    assert fallen.age_s < 1.0
-    link.ticks(20)
-    assert link.tick(trains=[FIRST]).age_s == 0.0
-    assert Link().ticks(51, silent=True).age_s == pytest.approx(5.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("part", "state"), [(0.001, LinkState.APP_LIMITED), (0.9, LinkState.STEADY)])

@@ -14,7 +14,6 @@ from arpd.model.settings import GraphSettings, LinkSettings
 from arpd.model.wire import wire_size
 from arpd.sim.foreign import ForeignFlow
 from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.loss import GilbertElliott
 from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import SimulatedWorld
@@ -39,9 +38,9 @@ def flows(loads):
 
 
 class Peer:
-    """A peer with its own clock, which leads by ``clock_s`` of the run time, and its share of the data."""
+    """A peer with its own clock, which leads by ``clock_s``, and its share of the data."""
 
-    def __init__(self, name="base", *, share=1.0, clock_s=lambda _: 0.0):
+    def __init__(self, name="base", *, share=1.0, clock_s=0.0):
         self.name, self.share, self.clock_s = name, share, clock_s
         self.is_in_graph = self.is_heard = lambda _: True  # by run time
 
@@ -52,13 +51,11 @@ class Run:
     Parameters
     ----------
     samples : load in samples of 30 kB: start s, end s, Mbit/s
-    upload, download, way_back : smooth load from this host, from others to the peer, and from the peer, likewise
+    upload, way_back : smooth load from this host, and from the peer, likewise
     sees : what the daemon observes besides
     """
 
-    def __init__(
-        self, schedule, *, peers=None, samples=(), upload=(), download=(), way_back=(), model=None, seed=1, **sees
-    ):
+    def __init__(self, schedule, *, peers=None, samples=(), upload=(), way_back=(), model=None, seed=1, **sees):
         self.sees = sees
         self.timeline = Timeline(START_S)
         self.random = Random(f"{seed} samples")
@@ -83,7 +80,6 @@ class Run:
                 random=Random(f"{seed} peer {place}"),
                 graph=GraphSettings(sensing_topics=1),  # what crosses stands for a topic
                 on_report=self.wake,
-                into_peer=tuple(flow.after(START_S) for flow in flows(download)),
             )
             for place in range(len(self.peers))
         ]
@@ -118,7 +114,7 @@ class Run:
         run_s = now_s - START_S
         seen = [world.observe(now_s) for world in self.worlds]
         reports = [
-            self.as_seen(report, peer, run_s)
+            self.as_seen(report, peer)
             for peer, observation in zip(self.peers, seen, strict=True)
             if peer.is_heard(run_s)
             for report in observation.reports
@@ -135,13 +131,12 @@ class Run:
                 if peer.is_in_graph(run_s):
                     world.probe(request)
 
-    def as_seen(self, report, peer, run_s):
-        ahead_s = peer.clock_s(run_s)
+    def as_seen(self, report, peer):
         return replace(
             report,
             peer=peer.name,
             rx_bytes=round(report.rx_bytes * peer.share),
-            delays_s=tuple(delay_s + ahead_s for delay_s in report.delays_s),
+            delays_s=tuple(delay_s + peer.clock_s for delay_s in report.delays_s),
         )
 
     def estimates(self, since_s=0.0, until_s=math.inf):
@@ -232,18 +227,12 @@ def test_a_queue_on_the_way_back_is_no_fall():
 # -- several peers
 
 
-def two(*names, seed=1):
-    """Return a run on 10 Mbit/s, with 2 Mbit/s of samples to two peers with different clocks."""
-    clocks = zip(names, (0.4, 0.6), (lambda _: 5.0, lambda _: -1e6), strict=True)
-    peers = [Peer(name, share=share, clock_s=clock_s) for name, share, clock_s in clocks]
-    return Run(steps((0, 10)), samples=((0, 20, 2),), peers=peers, seed=seed)
-
-
 @pytest.mark.parametrize("leaves", [False, True])
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_peer_that_goes_changes_nothing_while_another_reports(leaves, which):
     """What peers receive adds up; when one dies, even if copies still go to it, there is no outage and no fall."""
-    run = two("a", "b")
+    peers = [Peer("a", share=0.4, clock_s=5.0), Peer("b", share=0.6, clock_s=-1e6)]
+    run = Run(steps((0, 10)), samples=((0, 20, 2),), peers=peers)
     run.peers[which].is_heard = lambda run_s: not 6.0 <= run_s < 12.0
     if leaves:
         run.peers[which].is_in_graph = run.peers[which].is_heard
@@ -290,18 +279,3 @@ def test_a_minute_of_measuring_costs_one_per_cent(mbit):
     before = world.probes_sent()[1] + world.report_bytes
     run.until(75.0)
     assert world.probes_sent()[1] + world.report_bytes - before <= 0.01 * mbit * MBIT * 60.0
-
-
-# -- what is lost
-
-
-@pytest.mark.parametrize(
-    "model", [LinkModel(), LinkModel(loss=0.1), LinkModel(bursts=GilbertElliott(good_s=2, bad_s=0.2))]
-)
-def test_the_loss_is_that_of_the_link(model):
-    """The loss that two peers show agrees with what the link lost of the same probes."""
-    run = Run(steps((0, 5)), model=model, peers=[Peer("a"), Peer("b")], seed=3)
-    run.until(100.0)
-    measured = [estimate.loss_ratio for estimate in run.estimates(20.0) if estimate.loss_ratio is not None]
-    assert sum(measured) / len(measured) == pytest.approx(1 - run.up.received_packets / run.up.sent_packets, abs=0.03)
-    assert (max(measured) > 0.0) is (model != LinkModel())

@@ -14,7 +14,6 @@ from arpd.model.wire import probe_wire_bytes
 LARGE = probe_wire_bytes(probes.PACKET_BYTES)
 SMALL = probe_wire_bytes(probes.SMALL_PACKET_BYTES)
 PAIRS = 6  # enough to be believed
-CAPACITIES = st.floats(1e4, 1.25e8)  # bytes/s: 80 kbit/s to 1 Gbit/s
 
 
 class Link:
@@ -72,14 +71,6 @@ def test_pairs_tell_capacity_and_overhead_exactly(overhead_s, part, copies):
     assert link.capacities == pytest.approx([capacity] * PAIRS, rel=1e-6)
 
 
-@given(CAPACITIES, st.floats(0.0, 0.029))
-def test_an_overhead_too_small_to_tell_is_none(capacity, part):
-    """A few per cent of a large packet count as jitter, and change the capacity as little."""
-    link = with_overhead(capacity, part).pairs()
-    assert link.log.packet_overhead_s == 0.0
-    assert link.capacities == pytest.approx([capacity] * PAIRS, rel=0.05)
-
-
 @given(OVERHEADS_S, PARTS, st.lists(st.floats(0.0, 0.99), min_size=4, max_size=10))
 def test_trains_with_other_traffic_inside_do_not_matter(overhead_s, part, fills):
     """Small trains and every other large train that traffic made longer change nothing while two pairs are clean."""
@@ -93,54 +84,15 @@ def test_trains_with_other_traffic_inside_do_not_matter(overhead_s, part, fills)
     assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
 
 
-def test_a_cleared_log_keeps_the_overhead():
-    """The overhead depends on the radio, so the next train after a fall is read with it."""
-    link = with_overhead(1e6, 0.4).pairs()
-    link.log.clear()
-    assert (link.capacities, link.log.newest_s) == ([], -math.inf)
-    assert link.log.packet_overhead_s == pytest.approx(link.overhead_s)
-    link.train(LARGE)
-    assert link.capacities == pytest.approx([1e6])
-
-
 def test_each_train_is_taken_once():
-    """Trains since the last call are news once, in their order; cleared ones are none."""
+    """Trains of large packets since the last call are news once, in their order; cleared ones are none."""
     link = Link(1e6)
-    assert link.log.take(packet_overhead_s=0.0) == []
     for capacity in (1e6, 2e6):
         link.capacity = capacity
         link.train(LARGE)
         link.train(SMALL)
-    assert link.log.take(packet_overhead_s=0.0) == pytest.approx([1e6, 2e6])
-    assert link.log.take(packet_overhead_s=0.0) == []
+    taken = [link.log.take(packet_overhead_s=0.0) for _ in range(2)]
+    assert taken == [pytest.approx([1e6, 2e6]), []]
     link.train(LARGE)
     link.log.clear()
     assert link.log.take(packet_overhead_s=0.0) == []
-    link.train(LARGE)
-    assert link.log.take(packet_overhead_s=0.0) == pytest.approx([2e6])
-
-
-@given(
-    st.lists(
-        st.builds(
-            Train,
-            payload_bytes=st.integers(0, 10**7),
-            duration_s=st.floats(1e-9, 10.0) | st.sampled_from([0.0, -1.0]),
-            packets=st.integers(0, 1000),
-        ),
-        max_size=60,
-    )
-)
-def test_any_trains_give_values_within_bounds(trains):
-    """A train of nothing does not count; the overhead is at most 0.8 of a packet's time, so C rises fivefold."""
-    log = TrainLog()
-    for number, train in enumerate(trains):
-        before = log.count
-        log.note(train, 0.3 * number)
-        assert log.count == before or (train.packets > 0 and train.payload_bytes > 0 and train.duration_s > 0)
-        overhead_s = log.packet_overhead_s
-        assert overhead_s >= 0.0
-        plain, corrected = (log.capacities(-math.inf, packet_overhead_s=each) for each in (0.0, overhead_s))
-        for low, high in zip(plain, corrected, strict=True):
-            assert 0.0 < low <= high <= 10.001 * low
-        assert not plain or corrected[-1] <= 5.001 * plain[-1]

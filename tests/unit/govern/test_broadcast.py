@@ -39,10 +39,6 @@ def test_a_slow_link_is_not_filled_with_prices():
     rising = [replace(slow, share_per_weight=0.1 * 1.05**tick) for tick in range(12)]
     assert sent(rising) == [0, 10]
     assert sent([slow, slow, replace(slow, share_per_weight=0.05)]) == [0, 2]
-
-
-@pytest.mark.parametrize("level", [0.0, math.inf])
-def test_floors_that_give_way_do_not_fill_a_slow_link_with_prices(level):
-    """Where the level is nothing or without bound, what else changes waits as any small change does."""
-    slow = replace(PRICE, capacity_bytes_per_second=1e3, share_per_weight=level)
-    assert sent([replace(slow, kept_floor=0.05 * tick) for tick in range(12)]) == [0, 10]
+    for level in (0.0, math.inf):  # where floors give way, too
+        yielding = replace(slow, share_per_weight=level)
+        assert sent([replace(yielding, kept_floor=0.05 * tick) for tick in range(12)]) == [0, 10]

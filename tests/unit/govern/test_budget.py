@@ -92,25 +92,24 @@ def test_in_an_outage_there_is_none():
 # -- lasting
 
 
-@pytest.mark.parametrize(("bad_s", "lasts"), [(2.0, C), (4.0, 0.25 * C), (20.0, 0.25 * C)])
-def test_what_nine_tenths_of_the_last_half_minute_allowed_lasts(bad_s, lasts):
-    """A fall shorter than three seconds leaves the lasting budget, and a longer one lowers it."""
-    budget = course(Budget(), (40.0, LINK), (bad_s, replace(LINK, capacity_bytes_per_second=0.25 * C)))
-    assert budget.lasting[0] == pytest.approx(lasts)
+POOR = replace(LINK, capacity_bytes_per_second=0.25 * C)
 
 
-def test_a_rise_lasts_after_half_a_minute():
-    """A better link counts when it has been better for nine tenths of the time."""
-    poor = replace(LINK, capacity_bytes_per_second=0.25 * C)
-    assert course(Budget(), (40.0, poor), (20.0, LINK)).lasting[0] == pytest.approx(0.25 * C)
-    assert course(Budget(), (40.0, poor), (31.0, LINK)).lasting[0] == pytest.approx(C)
-
-
-def test_queues_and_outages_are_left_out_of_what_lasts():
-    """A queue drains, and an outage is no capacity: none of them asks for other deadlines."""
-    troubled = replace(LINK, standing_delay_s=1.0)
-    budget = course(Budget(), (20.0, LINK), (10.0, troubled), (20.0, replace(LINK, state=LinkState.OUTAGE)))
-    assert budget.lasting[0] == pytest.approx(C)
+@pytest.mark.parametrize(
+    ("spans", "lasts"),
+    [
+        ([(40.0, LINK), (2.0, POOR)], C),
+        ([(40.0, LINK), (4.0, POOR)], 0.25 * C),
+        ([(40.0, POOR), (20.0, LINK)], 0.25 * C),
+        ([(40.0, POOR), (31.0, LINK)], C),
+        # A queue drains, and an outage is no capacity: none of them asks for other deadlines.
+        ([(20.0, LINK), (10.0, replace(LINK, standing_delay_s=1.0)), (20.0, replace(LINK, state=LinkState.OUTAGE))], C),
+    ],
+    ids=["short fall", "fall", "short rise", "rise", "trouble"],
+)
+def test_what_nine_tenths_of_the_last_half_minute_allowed_lasts(spans, lasts):
+    """A fall lasts after three seconds and a rise after half a minute; queues and outages are left out."""
+    assert course(Budget(), *spans).lasting[0] == pytest.approx(lasts)
 
 
 def test_what_packets_cost_beside_passing_traffic_does_not_last():

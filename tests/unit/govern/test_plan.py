@@ -32,19 +32,6 @@ def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPT
     )
 
 
-@pytest.mark.parametrize("capacity", [0.0, 1e4, 1e6, 1e8])
-def test_a_row_has_the_ceiling_and_the_terms_of_the_price(capacity):
-    """At any capacity a publisher may grow a little above its source, and gets weight, size and floor."""
-    row = planned(capacity, [replace(TOPIC, weight=3.0)]).topics["/t"]
-    assert row.rate_hz == 1.25 * TOPIC.desired_rate_hz
-    assert (row.min_rate_hz, row.weight, row.wire_bytes, row.packets) == (
-        TOPIC.min_rate_hz,
-        3.0,
-        TOPIC.wire_bytes,
-        TOPIC.packets,
-    )
-
-
 def test_an_operators_cap_is_a_cap():
     """The ceiling never exceeds `max_rate_hz`."""
     capped = Settings(defaults=DefaultPreferences(max_rate_hz=15.0))
@@ -111,13 +98,6 @@ SILENT = replace(PUBLISHER, source_rate_hz=0.0)
 UNKNOWN = replace(TOPIC, desired_rate_hz=2.0, wire_bytes=1400.0)
 
 
-def test_a_silent_source_keeps_its_row():
-    """A silent source finds ceiling, sizes and QoS when it returns; weight and floor are the configuration's."""
-    before = planned(1e6)
-    after = planned(1e5, [replace(UNKNOWN, weight=2.0, min_rate_hz=1.0)], [SILENT], previous=before)
-    assert after.topics["/t"] == replace(before.topics["/t"], weight=2.0, min_rate_hz=1.0)
-
-
 @pytest.mark.parametrize(
     ("most_hz", "payload_bytes", "ceiling_hz"),
     [(None, 1e3, math.inf), (15.0, 1e3, 15.0), (None, 1e5, 1.25 * UNKNOWN.desired_rate_hz)],
@@ -130,21 +110,12 @@ def test_a_source_that_was_always_silent_has_no_basis_for_a_ceiling(most_hz, pay
     assert (row.rate_hz, row.deadline_ns, row.wire_bytes) == (ceiling_hz, 0, UNKNOWN.wire_bytes)
 
 
-def test_the_tightest_request_of_all_readers_counts():
-    """The shortest request of all readers decides."""
-    publishers = [
-        replace(PUBLISHER, node="/a", requested_deadline_ns=40_000_000),
-        replace(PUBLISHER, node="/b", requested_deadline_ns=30_000_000),
-        replace(PUBLISHER, node="/c"),
-    ]
-    assert planned(1e6, publishers=publishers).topics["/t"].deadline_ns == 30_000_000
-
-
 @pytest.mark.parametrize("requested_ns", [50_000_000, 60_000_000, 62_000_000])
 def test_a_class_never_costs_a_reader(requested_ns):
-    """A row inside its class changes when a reader requests a shorter deadline than it offers."""
+    """A row inside its class changes when any of its readers requests a shorter deadline than it offers."""
     first = planned(1e6)
     demanding = replace(PUBLISHER, requested_deadline_ns=requested_ns)
+    lenient = replace(PUBLISHER, node="/lenient", requested_deadline_ns=70_000_000)
     for state in (demanding, replace(demanding, source_rate_hz=0.0)):
-        second = planned(1e6, publishers=(state,), previous=first)
+        second = planned(1e6, publishers=(lenient, state), previous=first)
         assert 0 < second.topics["/t"].deadline_ns <= requested_ns

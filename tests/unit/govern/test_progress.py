@@ -115,29 +115,27 @@ def test_a_lease_is_a_part_of_the_plan():
     assert not progress([leased], plan, lease_s=100 / 3).missing
 
 
-def test_told_rates_have_six_digits():
-    """A publisher that shows the plan is confirmed, and not with another depth."""
-    target = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    shown = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)
-    assert is_confirmed(shown, target)
-    assert not is_confirmed(replace(shown, depth=4), target)
+TARGET = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
+SHOWN = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)  # told rates have six digits
 
 
-@pytest.mark.parametrize("reason", sorted(RefusalReason))
-def test_only_a_refusal_for_good_settles_a_publisher(reason):
-    """After a lasting refusal the ceiling confirms the plan; after a passing one, only all of it does."""
-    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    slowed = replace(PUBLISHER, rate_hz=5.0, refusal="no", refusal_reason=reason)
-    assert is_confirmed(slowed, target) == reason.is_lasting
-    assert not is_confirmed(replace(slowed, rate_hz=6.0), target)
-
-
-def test_a_publisher_that_keeps_all_has_no_depth_to_confirm():
-    """With a KEEP_ALL history, only rate and deadline count."""
-    target = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=5, depth=3)
-    everything = replace(PUBLISHER, rate_hz=5.0, deadline_ns=5, keeps_all=True)
-    assert is_confirmed(everything, target)
-    assert not is_confirmed(replace(everything, deadline_ns=6), target)
+@pytest.mark.parametrize(
+    ("shown", "is_enough"),
+    [
+        (SHOWN, True),
+        (replace(SHOWN, depth=4), False),
+        (replace(SHOWN, depth=4, keeps_all=True), True),
+        (replace(SHOWN, deadline_ns=6, keeps_all=True), False),
+        *(
+            (replace(SHOWN, depth=4, rate_hz=rate_hz, refusal="no", refusal_reason=reason), near and reason.is_lasting)
+            for reason in RefusalReason
+            for rate_hz, near in ((12.3457, True), (6.0, False))
+        ),
+    ],
+)
+def test_a_publisher_confirms_what_it_can_have(shown, is_enough):
+    """KEEP_ALL has no depth to confirm, and after a lasting refusal the ceiling is enough, after a passing one not."""
+    assert is_confirmed(shown, TARGET) == is_enough
 
 
 @given(

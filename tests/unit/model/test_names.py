@@ -21,13 +21,9 @@ from arpd.model.names import compile_patterns, is_hidden, is_internal, is_patter
         ("/*", ["/scan"], ["/camera/image"]),
         ("/camera/*/image", ["/camera/left/image"], ["/camera/image", "/camera/left/raw/image"]),
         ("/**/image", ["/image", "/camera/left/image"], ["/image/raw", "/camera/rawimage"]),
-        ("/a/**/b", ["/a/b", "/a/x/b", "/a/x/y/b", "/a/b/b"], ["/ab", "/a/b/c", "/b"]),
         ("/**/a/**/b", ["/a/b", "/x/a/y/b", "/a/a/b/b"], ["/b/a", "/xa/b"]),
         ("/cam*", ["/cam", "/camera"], ["/camera/image", "/scam"]),
-        ("/*_raw", ["/image_raw", "/_raw"], ["/raw", "/image_raw2"]),
         ("/a*b*c", ["/abc", "/aXbbYc", "/abcbc"], ["/acb", "/ab/c"]),
-        ("/**/*", ["/a", "/a/b"], []),
-        ("/**/**", ["/a", "/a/b"], []),
     ],
 )
 def test_a_pattern_matches_whole_levels(pattern, matched, unmatched):

@@ -6,20 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.probes import PACKET_BYTES
-from arpd.model.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, probe_wire_bytes, wire_size
+from arpd.model.wire import ACKNACK_BYTES, FRAGMENT_BYTES, HEARTBEAT_BYTES, MTU_BYTES, wire_size
 
 PAYLOADS = st.integers(0, 60_000)
 RATES = st.floats(0.0, 10_000.0)
-
-
-@given(PAYLOADS, PAYLOADS, RATES)
-def test_more_payload_never_costs_less(one, other, rate_hz):
-    """Bytes rise strictly with the payload, packets never fall."""
-    small, large = sorted((one, other))
-    less, more = wire_size(small, rate_hz=rate_hz), wire_size(large, rate_hz=rate_hz)
-    assert less[1] <= more[1]
-    assert less[0] < more[0] or small == large
 
 
 @given(PAYLOADS, RATES, RATES)
@@ -55,9 +45,3 @@ def test_sizes_are_those_of_captured_frames(payload_bytes, rate_hz, wire_bytes, 
     """324 bytes took 498 on the wire, 1300 bytes 1402 and 270, a heartbeat 170, its acknowledgement 166."""
     assert HEARTBEAT_BYTES + ACKNACK_BYTES == 336
     assert wire_size(payload_bytes, rate_hz=rate_hz) == (wire_bytes, packets)
-
-
-def test_a_probe_packet_of_a_train_is_the_captured_frame():
-    """The packets of a train need no fragments, so each is one arrival of 1390 bytes."""
-    assert probe_wire_bytes(PACKET_BYTES) == 1390
-    assert PACKET_BYTES + 16 <= FRAGMENT_BYTES

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.sim.aggregation import _MOST_AIR_S
 from arpd.sim.link import LinkModel, SimulatedLink
 from arpd.sim.loss import GilbertElliott, LossStep
 from arpd.sim.schedule import RateSchedule, RateStep
@@ -20,8 +19,6 @@ from tests.examples import examples
 
 ORIGIN_S = 1000.0
 FRAME_BYTES = 1514
-MBIT = 125_000.0
-END_S = 1.5  # of a link that is kept busy
 
 
 def schedule_of(*steps):
@@ -142,19 +139,6 @@ def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
 
 
 # -- overhead, aggregates, firmware
-
-
-@pytest.mark.parametrize("aggregate_packets", [2, 8, 64])
-def test_aggregates_share_the_overhead(aggregate_packets):
-    """An aggregate of n packets costs one overhead, so goodput nears C as n grows, within the limit of 802.11."""
-    overhead_s, rate, packet_bytes = 0.0005, 20 * MBIT, 1000
-    model = LinkModel(packet_overhead_s=overhead_s, aggregate_packets=aggregate_packets)
-    bench = Bench(schedule_of((0.0, rate)), model)
-    bench.saturate(packet_bytes, END_S, every_s=0.5 * packet_bytes / rate)
-    size = min(aggregate_packets, int(_MOST_AIR_S * rate / packet_bytes)) * packet_bytes
-    goodput = bench.link.received_bytes() / END_S
-    assert goodput == pytest.approx(size / (overhead_s + size / rate), rel=0.02)
-    assert goodput < rate * _MOST_AIR_S / (_MOST_AIR_S + overhead_s)
 
 
 @pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])

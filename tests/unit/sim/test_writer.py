@@ -82,12 +82,3 @@ def test_whatever_the_history_holds_is_delivered_once_and_in_order(samples, dept
     assert world.reader.delivered == sorted(set(world.reader.delivered))
     assert set(range(max(0, samples - depth), samples)) <= set(world.reader.delivered)
     assert world.writer.is_acknowledged()
-
-
-def test_a_full_history_drops_the_oldest_though_nobody_has_it():
-    """Samples that leave the history during an outage never arrive; the last ``depth`` do."""
-    world = World(depth=3, outages=((0.0, 2.0),))
-    world.publish(10, every_s=0.1)
-    world.wait(10.0)
-    assert world.reader.delivered == [7, 8, 9]
-    assert world.writer.is_acknowledged()

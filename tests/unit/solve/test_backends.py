@@ -15,7 +15,7 @@ from arpd.model.settings import Backend
 from arpd.solve import osqp_
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import Eq4Problem
-from arpd.solve.level import TOLERANCE, water_level, yielding
+from arpd.solve.level import TOLERANCE, water_level
 from tests.examples import examples
 
 WEIGHTS, LOW, HIGH, BUDGET = np.array([1.0, 2.0]), np.array([0.1, 0.1]), np.array([0.9, 0.9]), 0.6
@@ -51,18 +51,6 @@ def test_the_closed_form_fills_the_budget(division):
         assert high.sum() <= budget
     else:
         assert np.clip(level * weights, low, high).sum() == pytest.approx(budget, rel=1e-9, abs=1e-12)
-
-
-AMOUNTS = st.lists(st.tuples(st.integers(0, 100), st.sampled_from([1.0, 2.0, 4.0, 16.0])), min_size=1, max_size=10)
-
-
-@given(AMOUNTS, st.integers(1, 500))
-def test_giving_up_takes_exactly_the_deficit_from_the_lightest_first(rows, deficit):
-    """The cut is the deficit or everything, and no class is cut before every lighter one is at 0."""
-    low, weights = np.array([float(amount) for amount, _ in rows]), np.array([weight for _, weight in rows])
-    heaviest, kept = yielding(weights, low, deficit)
-    taken = low[weights < heaviest].sum() + (1.0 - kept) * low[weights == heaviest].sum()
-    assert taken == pytest.approx(min(low.sum(), deficit))
 
 
 def broken(answer):
@@ -111,24 +99,6 @@ def test_a_wrong_optimum_of_eq4_is_overruled_and_counted(monkeypatch, answer, ou
     (rate_hz, depth), backend = solver.eq4(Eq4Problem(max_rate_hz=100, topics=12))
     assert (int(rate_hz), int(depth), backend) == (7, 365, Backend.CLOSED_FORM)
     assert solver.outcomes == {("osqp", outcome): 1, ("closed_form", "solved"): 1}
-
-
-def test_a_back_end_that_is_not_installed_is_counted(monkeypatch, caplog):
-    """The closed form answers, and the log names the key."""
-    monkeypatch.setitem(sys.modules, "arpd.solve.cvxpy_", None)
-    solver = Solver(Backend.CVXPY)
-    assert solver.level(WEIGHTS, LOW, HIGH, BUDGET)[1] is Backend.CLOSED_FORM
-    assert solver.outcomes == {("cvxpy", "failed"): 1, ("closed_form", "solved"): 1}
-    assert caplog.text.count("program.backend: cvxpy cannot be used") == 1
-
-
-def test_the_answer_of_a_back_end_counts(monkeypatch):
-    """What is within the tolerance is used as it is, and the back end has the credit."""
-    near = LEVEL * (1 + TOLERANCE / 2)
-    monkeypatch.setattr(osqp_, "level", broken(near))
-    solver = Solver(Backend.OSQP)
-    assert solver.level(WEIGHTS, LOW, HIGH, BUDGET) == (near, Backend.OSQP)
-    assert solver.outcomes == {("osqp", "solved"): 1}
 
 
 @pytest.mark.parametrize("budget", [2.0, 1.8, 1.8 * (1 - 1e-7), 0.2, 0.2 * (1 + 1e-7)])

@@ -116,22 +116,6 @@ def test_floors_are_kept_when_the_link_carries_them(topics, capacity):
 @given(
     topics=robots(),
     capacity=CAPACITIES,
-    growth=st.floats(1.0, 5.0),
-    overhead=st.sampled_from([0.0, 1e-4]),
-)
-def test_rates_grow_with_capacity(topics, capacity, growth, overhead):
-    """No topic's rate falls when the capacity rises, degraded or not."""
-    solver = program(packet_overhead_s=overhead)
-    before = solver.solve(capacity, topics, AMPLE)
-    after = solver.solve(capacity * growth, topics, AMPLE)
-    for low, high in zip(before.topics, after.topics, strict=True):
-        assert high.rate_hz >= low.rate_hz * (1 - 1e-9)
-
-
-@examples(80)
-@given(
-    topics=robots(),
-    capacity=CAPACITIES,
     growth=st.one_of(st.floats(1.0, 1.001), st.floats(1.0, 5.0)),
     overhead=st.sampled_from([0.0, 1e-4]),
 )
@@ -166,15 +150,6 @@ def test_weight_divides_the_link():
     light, heavy = program().solve(20_000.0, topics, AMPLE).topics
     assert heavy.share == pytest.approx(2 * light.share)
     assert (light.binding, heavy.binding) == (Binding.LINK, Binding.LINK)
-
-
-def test_plenty_gives_every_topic_what_it_wants():
-    """On an ample link the rate is the desired one to the nanosecond, and the desired rate binds."""
-    allocation = program().solve(1e7, [topic(desired_rate_hz=10.0)], AMPLE)
-    (row,) = allocation.topics
-    assert (row.rate_hz, row.deadline_ns, row.binding) == (10.0, 100_000_000, Binding.DESIRED_RATE)
-    assert allocation.binding is Binding.DESIRED_RATE
-    assert allocation.capacity_bytes_per_second == pytest.approx(0.85e7)
 
 
 @pytest.mark.parametrize(
@@ -292,25 +267,14 @@ def test_the_answer_of_a_solver_is_used(monkeypatch):
     assert (allocation.price.share_per_weight, allocation.backend) == (0.85 * (1 - 5e-7), Backend.OSQP)
 
 
-def test_a_solve_is_timed_by_the_given_clock():
-    """``solve_s`` is the difference of two readings of the injected clock."""
-    readings = iter([10.0, 10.25])
-    assert program(clock=lambda: next(readings)).solve(1e6, [topic()], AMPLE).solve_s == 0.25
-
-
 @pytest.mark.parametrize(
     ("change", "field"),
     [
         ({"weight": 0.0}, "weight"),
         ({"wire_bytes": math.nan}, "wire_bytes"),
-        ({"wire_bytes": -1.0}, "wire_bytes"),
-        ({"wire_bytes": 0.0}, "wire_bytes"),
-        ({"min_rate_hz": -1.0}, "min_rate_hz"),
         ({"min_rate_hz": math.inf}, "min_rate_hz"),
         ({"desired_rate_hz": math.nan}, "desired_rate_hz"),
-        ({"min_depth": 0}, "depths 0..5000"),
         ({"min_depth": 10, "max_depth": 5}, "depths 10..5"),
-        ({"latency_budget_s": -1.0}, "latency_budget_s"),
         ({"latency_budget_s": math.inf}, "latency_budget_s"),
     ],
 )
