@@ -159,9 +159,8 @@ class NodePublishers:
 
     def release(self, publisher: Paced) -> None:
         """Forget a publisher."""
-        topic = publisher.topic_name
         with self._lock:
-            self._publishers = {name: kept for name, kept in self._publishers.items() if name != topic}
+            self._publishers = {topic: kept for topic, kept in self._publishers.items() if kept is not publisher}
 
     def hurry(self) -> None:
         """Send a snapshot soon, because a swap has ended, for example; for any thread."""

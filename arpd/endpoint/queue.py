@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 _SLACK_S = 0.01  # that a late thread may catch up
+_FADE = 2.0  # a link that carries so much more than it did was in one; less is doubt
 LEAST_SHARE, MOST_SHARE = 0.05, 0.97  # of the link
 _MOST_SMALL_DEBT_S = 0.05  # of link time: small messages have rates of their own, and must not starve large ones
 SOON_S = 0.0005  # to wake a thread for less costs more than it saves
@@ -53,12 +54,13 @@ class PacedQueue:
     """
 
     def __init__(self) -> None:
-        self._lanes: list[Lane] = []
+        self._lanes: dict[Lane, None] = {}
         self._active: dict[Lane, None] = {}  # with something to send, the longest active first
         self._virtual = 0.0
         self.sent_bytes = 0  # on the link
         self._debt_s = 0.0  # link time that is still to pass for what has left
         self._drained_s = -math.inf  # as of when
+        self._slowest = math.inf  # capacity since a fade ended (bytes/s)
         self._price: Price | None = None
         self._unplanned_s = -math.inf  # when a large sample without a plan may leave
         self._is_settled = True  # price and share belong to what the lanes have
@@ -68,12 +70,12 @@ class PacedQueue:
 
     def add(self, lane: Lane) -> None:
         """Serve a lane from now on."""
-        self._lanes.append(lane)
+        self._lanes[lane] = None
 
     def remove(self, lane: Lane) -> None:
-        """Serve it no more; what waits is withheld."""
+        """Serve it no more, if it is served; what waits is withheld."""
         lane.close()
-        self._lanes.remove(lane)
+        self._lanes.pop(lane, None)
         self._active.pop(lane, None)
         self._is_settled = False
 
@@ -95,7 +97,7 @@ class PacedQueue:
         """Return what leaves now; it then counts as sent."""
         if not self._active or not self._is_open(now_s):
             return None
-        self._settle()
+        self._settle(now_s)
         while (chosen := self._choose(now_s)) is not None:
             lane, is_first = chosen
             if (ready := self._leave(lane, now_s, is_first=is_first)) is not None:
@@ -109,7 +111,7 @@ class PacedQueue:
         """
         if len(message) > SMALL_BYTES or lane.claimant is not None or not lane.admit(message, now_s):
             return False
-        self._settle()
+        self._settle(now_s)
         if self._price is not None and lane.plan is not None:
             debt_s = self._drain(now_s) + self._price.cost_s(lane.plan)
             self._debt_s = max(self._debt_s, min(debt_s, _MOST_SMALL_DEBT_S))
@@ -119,7 +121,7 @@ class PacedQueue:
         """Return what leaves now of this lane, if it is its turn; it then counts as sent."""
         if lane.claimant is not None or lane not in self._active or not self._is_open(now_s):
             return None
-        self._settle()
+        self._settle(now_s)
         is_first = self._comes_first(lane, now_s)
         if not is_first and ((chosen := self._choose(now_s)) is None or chosen[0] is not lane):
             return None
@@ -129,6 +131,7 @@ class PacedQueue:
         """Return when `take` may have something, ``inf`` = not before something changes (s)."""
         if not self._active or not self._is_open(now_s):
             return math.inf
+        self._settle(now_s)
         free = [lane for lane in self._active if lane.claimant is None]
         first_s = min(
             (self._due_s(lane, now_s, in_turn=False) for lane in free if lane.is_small or lane.is_unbound(now_s)),
@@ -247,8 +250,17 @@ class PacedQueue:
     def _drain_rate(self) -> float:
         return MOST_SHARE
 
-    def _settle(self) -> None:
+    def _settle(self, now_s: float) -> None:
         """Follow the price and the plans of the lanes."""
-        if not self._is_settled:
-            self._is_settled = True
-            self._price = next((lane.price for lane in self._lanes if lane.price is not None), None)
+        if self._is_settled:
+            return
+        self._is_settled = True
+        self._price = next((lane.price for lane in self._lanes if lane.price is not None), None)
+        if self._price is None:
+            return
+        capacity = self._price.capacity_bytes_per_second
+        if capacity > _FADE * self._slowest:
+            # What is still to pass are bytes: of a picture that left in a fade, minutes then and a moment now.
+            self._debt_s = self._drain(now_s) * self._slowest / capacity
+            self._slowest = capacity
+        self._slowest = min(self._slowest, capacity)

@@ -209,9 +209,9 @@ class WritingThread:
             self._wake(self._queue.due_s(self._clock()))
 
     def _run(self) -> None:
-        while True:
+        while self._is_alive():  # without the lock: a context that shuts down has its own, and calls `stop`
             with self._lock:
-                if self._is_stopping or not self._is_alive():
+                if self._is_stopping:
                     return
                 act = self._choose(self._clock())
                 if act is None:

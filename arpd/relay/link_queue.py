@@ -159,10 +159,10 @@ class LinkQueue(PacedQueue):
     def _drain_rate(self) -> float:
         return min(MOST_SHARE, self._share * self._flight.relief)
 
-    def _settle(self) -> None:
+    def _settle(self, now_s: float) -> None:
         if self._is_settled:
             return
-        super()._settle()
+        super()._settle(now_s)
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))

@@ -20,22 +20,13 @@ class Sets:
 
     Parameters
     ----------
-    members : places in the group of the topics that are carried
+    members : places in the group of the topics that are carried; they may change
     """
 
     def __init__(self, members: Collection[int]) -> None:
-        self._members = frozenset(members)
+        self.members = frozenset(members)
         self._begun: dict[tuple[int, int], dict[int, Record]] = {}
         self.dropped = 0  # samples of sets that were never complete
-
-    @property
-    def members(self) -> frozenset[int]:
-        """Places in the group of the topics that are carried."""
-        return self._members
-
-    @members.setter
-    def members(self, members: Collection[int]) -> None:
-        self._members = frozenset(members)
 
     def add(self, record: Record) -> list[Record] | None:
         """Take a sample; return its set, in the order of the group, once the set is complete.
@@ -45,21 +36,21 @@ class Sets:
         ValueError
             If the sample has no header stamp.
         """
-        if record.member not in self._members:
+        if record.member not in self.members:
             return None
         stamp = stamp_of(record.sample)
         begun = self._begun.setdefault(stamp, {})
         if record.member in begun:
             self.dropped += 1  # two samples of one topic with one stamp: the newer one belongs to the set
         begun[record.member] = record
-        if not self._members <= begun.keys():
+        if not self.members <= begun.keys():
             if len(self._begun) > _MOST_BEGUN:
                 self._drop(next(iter(self._begun)))  # the one that was begun first: clocks may go back
             return None
         del self._begun[stamp]
         for older in [other for other in self._begun if other < stamp]:
             self._drop(older)
-        return [begun[member] for member in sorted(self._members)]
+        return [begun[member] for member in sorted(self.members)]
 
     def _drop(self, stamp: tuple[int, int]) -> None:
         self.dropped += len(self._begun.pop(stamp))

@@ -54,6 +54,8 @@ class GraphView:
         self._lock = threading.RLock()
         self._waits = rclpy_implementation.WaitSet(0, 1, 0, 0, 0, 0, node.context.handle)
         self._known: dict[tuple[str, str], Any] = {}
+        self._types: Mapping[str, Sequence[str]] = {}
+        self._services: Mapping[str, Sequence[str]] = {}
         self._changes = 0
         self._noticed_s = clock()
         self._spent_s = 0.0  # on reading since then
@@ -81,13 +83,16 @@ class GraphView:
 
     @property
     def types(self) -> Mapping[str, Sequence[str]]:
-        """The types of every topic."""
-        return self._once("types", "", lambda: dict(self._node.get_topic_names_and_types()))
+        """The types of every topic; those before the change where the graph has a name that is no text."""
+        self._types = self._once("types", "", lambda: dict(self._node.get_topic_names_and_types()), self._types)
+        return self._types
 
     @property
     def services(self) -> Mapping[str, Sequence[str]]:
-        """The types of every service."""
-        return self._once("services", "", lambda: dict(self._node.get_service_names_and_types()))
+        """The types of every service, likewise."""
+        read = self._node.get_service_names_and_types
+        self._services = self._once("services", "", lambda: dict(read()), self._services)
+        return self._services
 
     @property
     def participants(self) -> frozenset[bytes]:
@@ -100,27 +105,27 @@ class GraphView:
 
         A killed process stays in the graph until DDS gives it up, and so do its ghosts. They belong to nobody here.
         """
-        return self._once("ours", "", self._namesakes)
+        return self._once("ours", "", self._namesakes, frozenset({self.own.participant}))
 
     def writers(self, topic: str) -> tuple[Endpoint, ...]:
         """Return the writers of a topic; none where the graph has a name that is no text."""
-        return self._once("writers", topic, lambda: writers_of(self._node, topic), default=())
+        return self._once("writers", topic, lambda: writers_of(self._node, topic), ())
 
     def readers(self, topic: str) -> tuple[Endpoint, ...]:
         """Return the readers of a topic, likewise."""
-        return self._once("readers", topic, lambda: readers_of(self._node, topic), default=())
+        return self._once("readers", topic, lambda: readers_of(self._node, topic), ())
 
     def servers(self, service: str) -> tuple[Endpoint, ...]:
         """Return the servers of a service, as the readers of the DDS topic of its requests."""
         topic = f"rq{service}Request"
-        return self._once("servers", service, lambda: readers_of(self._node, topic, is_of_dds=True), default=())
+        return self._once("servers", service, lambda: readers_of(self._node, topic, is_of_dds=True), ())
 
     def _namesakes(self) -> frozenset[bytes]:
         found = (writer.participant for writer in self.writers(ON_EVERY_NODE) if writer.node == self.own.node)
         return frozenset({self.own.participant, *found})
 
-    def _once(self, kind: str, name: str, read: Callable[[], T], default: T | None = None) -> T:
-        """Return what was read since the last change, or read it now."""
+    def _once(self, kind: str, name: str, read: Callable[[], T], default: T) -> T:
+        """Return what was read since the last change, or read it now; the default where that fails."""
         with self._lock:
             if (kind, name) not in self._known:
                 begun_s = self._clock()
@@ -129,8 +134,6 @@ class GraphView:
                 except InvalidHandle:
                     raise
                 except (RuntimeError, ValueError) as fault:
-                    if default is None:
-                        raise
                     log.debug("%s of %s left out: %s", kind, name, fault)
                     self._known[kind, name] = default
                 self._spent_s += self._clock() - begun_s

@@ -108,8 +108,9 @@ class ReadingThread:
         self._readers: dict[int, Inlet] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
-        self._stop = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._events.register(self._stop, select.EPOLLIN)
+        self._is_stopping = False
+        self._woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._events.register(self._woken, select.EPOLLIN)
         self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
         self._thread.start()
 
@@ -128,11 +129,16 @@ class ReadingThread:
         """End the thread; samples that wait are dropped. It may have ended already."""
         if self._events.closed:
             return
-        os.eventfd_write(self._stop, 1)
+        self._is_stopping = True
+        self.wake()
         self._thread.join(timeout=2.0)
         self._close_retired()
         self._events.close()
-        os.close(self._stop)
+        os.close(self._woken)
+
+    def wake(self) -> None:
+        """Call the step now; for any thread, before `stop` returns."""
+        os.eventfd_write(self._woken, 1)
 
     def watch(self, reader: Inlet) -> int:
         """Read from a reader from now on; return its event, for `unwatch`."""
@@ -188,7 +194,7 @@ class ReadingThread:
             wait_s = min(_TURN_S, self._step_now() - self._clock())
             ready = {event for event, _ in self._events.poll(0 if unfinished else max(0.0, wait_s))}
             self.note_finished()
-            if self._stop in ready:
+            if self._is_stopping:
                 return
             for event in ready | unfinished:
                 unfinished.discard(event)
@@ -248,7 +254,8 @@ class RawReader:
         self._last = (b"", 0, 0)  # writer and number of the newest sample, and when it left
         self._repeats = 0
         check_for_type_support(msg_type)
-        self._make()
+        with self._lock:  # a large sample that waits already lets the thread begin again
+            self._make()
 
     def destroy(self) -> None:
         """Destroy the reader; a sample may still be delivered while this is called."""

@@ -116,9 +116,10 @@ class RosControl:
         self._peer_clocks = PeerClocks()
         self._view = GraphView.of(node)
         self._changes = -1  # of the graph, when it was read last
-        self._graph = Graph()
+        self._graph = Graph()  # of the thread that looks around
+        self._graph_seen = self._graph  # by the thread that ticks
+        self._fields_of = self._graph.fields_of  # the same object until that changes
         self._crossing_counts = (0, 0)  # topics from the robot, and to it
-        self._fields_of = self._graph.fields_of  # the same object until the graph changes
         self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
         self._probes = 0
@@ -129,7 +130,6 @@ class RosControl:
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         self.thread = ReadingThread.of(node.context)
         self._nodes = Nodes()  # of the thread that ticks
-        self._shows_writer: Callable[[str, str], bool] | None = None  # in the graph that the nodes have not seen yet
         snapshots = Inbox(
             node,
             UInt8MultiArray,
@@ -181,10 +181,9 @@ class RosControl:
             peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
             peer_clocks = self._peer_clocks.offsets(now_s)
         self._take_snapshots()
-        if (shows_writer := self._shows_writer) is not None:
-            self._shows_writer = None
-            self._nodes.see(shows_writer)
-        graph = self._graph
+        if (graph := self._graph) is not self._graph_seen:
+            self._graph_seen, self._fields_of = graph, graph.fields_of
+            self._nodes.see(graph.shows_writer)
         publishers = self._join(now_s)
         pinned = self._graph_settings
         relay = self._nodes.relay(now_s) if self._has_two_ends else None
@@ -330,7 +329,7 @@ class RosControl:
         if graph != self._graph:
             directions = [crossing.direction for crossing in graph.crossings.values()]
             self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
-            self._graph, self._fields_of, self._shows_writer = graph, graph.fields_of, graph.shows_writer
+            self._graph = graph
             with self._lock:
                 self._peer_admission.see(graph.peers or 0)
 

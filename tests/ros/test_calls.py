@@ -1,12 +1,9 @@
 """Services and actions across the link with real rclpy: two domains in one process, and a link that loses records."""
 
-import os
 import random
 import threading
 import time
-from collections import deque
 from contextlib import ExitStack, suppress
-from unittest.mock import MagicMock
 
 import pytest
 
@@ -27,7 +24,7 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes, Empty
 
 from arpd.model.settings import RelaySettings
-from arpd.relay.calls import FailureReason, Request
+from arpd.relay.calls import FailureReason, Kind, Record, Request, encode_record
 from arpd.relay.ends import calls as calls_module
 from arpd.relay.ends import services as services_module
 from arpd.relay.ends.calls import Calls
@@ -50,40 +47,25 @@ ROBOT, BASE = DOMAIN, DOMAIN + 1
 class Wire:
     """The link from one end, which loses, doubles and reorders records, and its reader at the other end."""
 
-    name = "the wire"
-
     def __init__(self, end):
         self._end = end
         self._random = random.Random(1)
         self._held = []
         self.loss = 0.0
-        self.arrived = deque()
-        self.handle = MagicMock()
         self.destroy = lambda: None
 
-    def reader(self, thread, deliver):
+    def reader(self, deliver):
         self._deliver = deliver
-        thread.watch(self)
         return self
-
-    def notify(self, _pointer, _function, event):
-        self._event = event
-
-    def read(self):
-        while self.arrived:
-            self._deliver(*self.arrived.popleft())
-        return True
 
     def send(self, record, _source):
         for _ in range(1 + (self._random.random() < self.loss)):
             if self._random.random() >= self.loss:
                 self._held.insert(self._random.randrange(len(self._held) + 1), record)
         if self._random.random() >= self.loss:
-            other = self._end.other.wire
             while self._held:
-                other.arrived.append((self._end.session, self._held.pop(0)))
-            with suppress(OSError):  # its end is restarting
-                os.eventfd_write(other._event, 1)
+                with suppress(OSError):  # its end is restarting
+                    self._end.other.wire._deliver(self._end.session, self._held.pop(0))
 
 
 class End:
@@ -290,6 +272,21 @@ def test_a_call_under_way_delays_no_other(world, eventually):
     server.destroy()
     eventually("both ends forget it", lambda: world.base.under_way == world.robot.under_way == (0, 0))
     assert world.base.calls.failures == {"timeout": 1, "no_server": 1}
+
+
+def test_what_comes_from_the_link_waits_for_no_node_here(world, monkeypatch):
+    """While calls wait for a node, records are taken from the link: the other end awaits their receipts."""
+    world.relay()
+    is_waiting, gate = threading.Event(), threading.Event()
+    monkeypatch.setattr(world.robot.calls._caller, "receive", lambda *_record: (is_waiting.set(), gate.wait()))
+    record = encode_record(Record(Kind.WAITING, world.robot.session, 1))
+    for _ in range(2):
+        taking = threading.Thread(target=world.robot.wire._deliver, args=(world.base.session, record), daemon=True)
+        taking.start()
+        taking.join(5.0)
+        assert not taking.is_alive()
+    assert is_waiting.wait(5.0)
+    gate.set()
 
 
 def test_names_on_the_base_have_the_namespace(world, eventually):

@@ -42,6 +42,12 @@ def test_a_ghost_in_use_outlives_the_look_of_another_owner(ros):
     nodes.close()
 
 
+def test_the_end_stands_for_a_node_whose_name_ros_refuses(ros):
+    """A foreign middleware may have such nodes, and their topics cross all the same."""
+    end = ros.node("end")
+    assert GhostNodes(end).of("/9 lives", owner="topics") is end
+
+
 class Ghost:
     """A ghost writer that is stepped ten times a second, and writes a hundred samples in that time if it is told to."""
 

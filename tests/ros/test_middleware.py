@@ -58,6 +58,17 @@ def test_a_real_graph_is_followed(ros, eventually):
     eventually("the writer is gone", lambda: seen().writers == frozenset())
 
 
+def test_a_name_that_is_no_text_hides_no_other(ros, eventually, monkeypatch):
+    """Who announces one on the network stops neither the daemon nor a relay: the topics from before stay known."""
+    node = ros.node("arpd")
+    view = GraphView.of(node)
+    before = eventually("topics show", lambda: view.types)
+    monkeypatch.setattr(node, "get_topic_names_and_types", lambda: bytes([255]).decode())
+    ros.node("talker")
+    eventually("the change is noticed", lambda: view.look() > 0)
+    assert view.types == before
+
+
 def test_a_graph_that_takes_long_is_read_once_and_then_rests(ros, eventually, monkeypatch):
     """What took 0.2 s to read is forgotten two seconds later at the earliest, and only if the graph has changed."""
     clock, read = SimpleNamespace(now_s=0.0), []

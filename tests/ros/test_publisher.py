@@ -237,6 +237,9 @@ def test_destroy_frees_name_and_writers(node, publisher):
     assert not writers_of(node)
     other = AdaptivePublisher(node, String, TOPIC, 99)
     assert other.baseline.depth == 99
+    publisher.destroy()  # again, as rclpy allows
+    with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
+        AdaptivePublisher(node, String, TOPIC, 10)
     other.destroy()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections import Counter
+from collections import Counter, deque
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +46,7 @@ class Calls:
     Every service that the other end offers gets a ghost server here, under a node with the name of the real server's
     node. A call runs at most once. One without an answer fails, with a response that says so where its type can; so
     does one whose server is gone, together with its offer. Servers of this process, ghosts above all, are not offered.
-    All works in one thread.
+    All works in one thread, which may wait for a server or a client here.
 
     Parameters
     ----------
@@ -86,6 +86,7 @@ class Calls:
         self._clients: dict[tuple[str, str], LocalClient] = {}  # by name on the link, and type
         self._stepped_s = self._look_s = clock()
         self._logged = OncePerMinute()
+        self._arrived: deque[tuple[int, bytes]] = deque()  # records of the other end, and its session
         self.offered: tuple[Mapping[str, ServiceOffer], int | None] = {}, None
         self.offers: Mapping[str, ServiceOffer] = {}
         self.refused: Mapping[str, str] = {}
@@ -93,18 +94,20 @@ class Calls:
         self._caller = Caller(send=link.send)
         self._callee = Callee(send=link.send, run=self._run, stop=self._stop)
         self.thread = ReadingThread(step=self._step, clock=clock)
-        self._reader = link.reader(self.thread, self._take)
+        self._reader = link.reader(self._arrive)
 
     def close(self) -> None:
         """Fail the calls that are under way, and remove all servers and clients."""
-        self.thread.stop()
         self._reader.destroy()
+        self.thread.stop()
         self._follow({}, None)
         while self._clients:
             self._clients.popitem()[1].destroy()
 
     def _step(self) -> float:
         """Do what is due; return when to call again (s)."""
+        while self._arrived:
+            self._take(*self._arrived.popleft())
         now_s = self._clock()
         if now_s >= self._stepped_s + self._every_s:
             self._stepped_s = now_s
@@ -148,12 +151,20 @@ class Calls:
         node = self._side.robot_name(first.node) or first.node
         return ServiceOffer(type_name=_ros_type(first.type_name), node=node)
 
+    def _arrive(self, sender: int, data: bytes) -> None:
+        self._arrived.append((sender, data))
+        self.thread.wake()
+
     def _take(self, sender: int, data: bytes) -> None:
         """Take a record of the other end."""
-        record = decode_record(data)
-        if record.to == self._session:
-            self._caller.receive(sender, record)
-            self._callee.receive(sender, record)
+        try:
+            record = decode_record(data)
+            if record.to == self._session:
+                self._caller.receive(sender, record)
+                self._callee.receive(sender, record)
+        except ValueError as fault:
+            if self._logged.take("", self._clock()):
+                log.warning("ignored a record of the other end: %s (logged once a minute)", fault)
 
     # -- calls of this side
 

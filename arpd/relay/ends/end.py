@@ -129,7 +129,8 @@ class End:
             settings=settings,
             clock=clock,
         )
-        calls = CallLink(link_node, self.link, own=f"/arpd/relay/{role}/calls", other=f"/arpd/relay/{other}/calls")
+        topics = {"own": f"/arpd/relay/{role}/calls", "other": f"/arpd/relay/{other}/calls"}
+        calls = CallLink(link_node, self.link, self.incoming_thread, **topics)
         self._calls = Calls(
             node,
             self._nodes,
@@ -217,7 +218,9 @@ class End:
         """Do what the newest state of the other end asks."""
         self._partner.look(now_s)
         state = self._partner.state
-        if state is None or not self._partner.is_reachable(now_s):
+        # In one domain, its ghosts would be in this graph, too.
+        self._is_shared = state is not None and state.local_gids in {each.hex() for each in self._view.participants}
+        if state is None or self._is_shared or not self._partner.is_reachable(now_s):
             self._calls.offered = {}, None  # calls fail at once; topics bridge an outage
         else:
             self._calls.offered = state.services, int(state.session, 16) & 0xFFFFFFFF
@@ -238,11 +241,7 @@ class End:
         self._offered_to_us = state.topics
         accepted = {}
         refused = {}
-        # Then its ghosts are in this graph, too.
-        self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
         announced = self._announced.recent()
-        if self._is_shared:
-            self._calls.offered = {}, None
         for name, offer in state.topics.items():
             if self._is_shared:
                 refused[name] = "both ends are in one ROS domain"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
@@ -101,7 +102,7 @@ class GhostNodes:
                     start_parameter_services=False,
                     parameter_overrides=[_NO_TYPE_DESCRIPTION],
                 )
-            except (ValueError, RuntimeError):  # a foreign middleware may have names that rcl refuses
+            except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
                 return self._node
         return self._ghosts[name]
 

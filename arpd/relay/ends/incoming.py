@@ -9,6 +9,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from rclpy.exceptions import NameValidationException
+
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.depths import BULK_BYTES, held_depth
@@ -121,7 +123,7 @@ class Incoming:
             for name, offer in offers.items():
                 try:
                     self._follow(name, offer)
-                except (UnknownTypeError, RuntimeError, ValueError) as fault:
+                except (UnknownTypeError, NameValidationException, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
             self._by_key = {key_of(topic.offer.link_name): topic.offer.link_name for topic in self._topics.values()}
             self._members = {(topic.offer.link_name, topic.offer.member): topic for topic in self._topics.values()}

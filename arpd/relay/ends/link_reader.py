@@ -81,22 +81,26 @@ class CallLink:
     ----------
     node : the end's node in the domain of the link
     link : writes to the link
+    thread : takes the records of the other end
     own, other : topics of this end's records and of the other's
     """
 
-    def __init__(self, node: Node, link: LinkThread, *, own: str, other: str) -> None:
-        self._node, self._link, self._other = node, link, other
+    def __init__(self, node: Node, link: LinkThread, thread: ReadingThread, *, own: str, other: str) -> None:
+        self._node, self._link, self._thread, self._other = node, link, thread, other
         publisher = node.create_publisher(UInt8MultiArray, own, _QOS, event_callbacks=no_publisher_events())
         self._lane = Lane(rcl().outlet(publisher.handle).publish, is_kept=True)
         link.add(self._lane)
 
-    def reader(self, thread: ReadingThread, deliver: Callable[[int, bytes], None]) -> LinkReader:
-        """Read the other end's records: ``deliver`` is called with the session of the sender and the record."""
+    def reader(self, deliver: Callable[[int, bytes], None]) -> LinkReader:
+        """Read the other end's records: ``deliver`` is called with the session of the sender and the record.
+
+        That must not wait: the receipts of all chunks would come late, as if the link was out.
+        """
         return LinkReader(
             self._node,
             self._other,
             link=self._link,
-            thread=thread,
+            thread=self._thread,
             deliver=lambda record, chunk, _age_s: deliver(chunk.session, record),
         )
 

@@ -40,7 +40,7 @@ class LinkThread(WritingThread):
         self._end = LinkEnd(session, clock(), together=together)
         super().__init__(self._end.queue, name="arpd-link", clock=clock)
         self._sign = sign
-        self._own: deque[Callable[[], None]] = deque()
+        self._own: deque[Callable[[], None]] = deque(maxlen=1)
 
     def is_sending(self, lane: Lane, source: Hashable) -> bool:
         """Return whether a message of this source is on its way, or was just now."""
@@ -48,7 +48,7 @@ class LinkThread(WritingThread):
             return lane.is_sending(source, self._clock())
 
     def send(self, write: Callable[[bytes], None], data: bytes) -> None:
-        """Write a message of the end itself, before all that waits."""
+        """Write a message of the end itself, before all that waits and in place of an older one."""
         with self._changed:
             self._own.append(partial(write, wrap(data)))
             self._wake(0.0)

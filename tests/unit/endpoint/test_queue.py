@@ -104,6 +104,18 @@ def test_without_receipts_no_topic_exceeds_its_rate_at_the_price(size):
     assert len(robot.left["a"]) == pytest.approx(51, abs=2)
 
 
+def test_a_sample_that_left_in_a_fade_holds_up_none_after_it():
+    """What is still to pass of it takes the time of the link as it is now, not as it was."""
+    faded = Price(share_per_weight=math.inf, capacity_bytes_per_second=CAPACITY / 1000.0)
+    robot = Participant(faded)
+    robot.topic("camera", plan(5.0))
+    robot.play({"camera": (5.0, LARGE)}, 1.0)
+    assert len(robot.left["camera"]) == 1
+    robot.queue.retune(robot.lanes["camera"], plan(5.0), replace(faded, capacity_bytes_per_second=CAPACITY))
+    robot.play({"camera": (5.0, LARGE)}, 2.0)
+    assert len(robot.left["camera"]) > 8
+
+
 @examples(25)
 @given(st.lists(st.tuples(st.floats(1.0, 15.0), st.floats(2.0, 30.0)), min_size=1, max_size=4))
 def test_no_topic_loses_rate_to_its_turn(topics):
