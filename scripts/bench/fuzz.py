@@ -18,7 +18,7 @@ from scripts.bench.report import REPO, Summary, figure, table
 
 #: By reader: module and name of its test, which takes nothing but what Hypothesis draws.
 READERS = {
-    "config": ("host.config.test_fuzz", "test_a_mangled_file_loads_or_says_where_it_is_wrong"),
+    "config": ("host.config.test_load", "test_a_mangled_file_loads_or_says_where_it_is_wrong"),
     "trace": ("sim.test_trace", "test_whatever_a_file_holds_it_is_a_trace_or_refused"),
     "report, probe": ("ros.test_probe_messages", "test_any_other_bytes_are_refused_or_read_as_finite_numbers"),
     "snapshot": ("ros.test_node_snapshot", "test_any_bytes_are_a_snapshot_or_refused"),

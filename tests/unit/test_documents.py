@@ -135,3 +135,12 @@ def test_every_condition_and_event_is_documented():
         assert number.strip("`") == condition.message_id
     for happening in Happening:
         assert rows[happening][-1].strip("`") == MESSAGE_IDS[happening]
+
+
+def test_every_promise_names_tests_that_exist():
+    """A test that is renamed or deleted leaves no promise of tests/README.md behind."""
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", documented("tests/README.md"))
+    text_of = {file: documented(file) if (REPO / file).exists() else "" for file, _ in named}
+    assert len(text_of) > 50
+    defined = r"^(?:def|class) {0}\b|^{0} = "
+    assert not [pair for pair in named if not re.search(defined.format(pair[1]), text_of[pair[0]], re.MULTILINE)]

@@ -4,35 +4,21 @@ from __future__ import annotations
 
 import ast
 import re
-from pathlib import Path
 
 import pytest
 
 from arpd.cli.main import _parser
 from arpd.host.config.load import load_settings
+from tests.readme_blocks import REPO, blocks
 
-REPO = Path(__file__).resolve().parents[2]
 UNITS = {path.stem for path in (REPO / "systemd").glob("*.service")}
 # Sections whose blocks without a language are pictures and output.
 SHOWN = {"See"}
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-
-def blocks(name):
-    """Return the fenced blocks of a document: section, language, text."""
-    sections = re.split(r"^## (.*)\n", (REPO / name).read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return [
-        (heading, *fence)
-        for heading, text in zip(sections[1::2], sections[2::2], strict=True)
-        for fence in _FENCE.findall(text)
-    ]
 
 
 def commands(name):
     """Return the lines of a document that a user types, in order."""
-    typed = [text for heading, language, text in blocks(name) if not language and heading not in SHOWN]
-    lines = [line.removeprefix("$ ") for text in typed for line in text.replace("\\\n", " ").splitlines()]
-    return [bare for line in lines if (bare := re.sub(r"(^|\s+)#.*", "", line).strip())]
+    return [line for block in blocks(name) if block.section not in SHOWN for line in block.commands]
 
 
 def is_known(line):

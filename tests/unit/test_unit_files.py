@@ -142,16 +142,9 @@ def test_the_launcher_becomes_arpd(tmp_path, launch):
     assert process.returncode == 69
 
 
-def test_a_missing_setup_file_is_a_configuration_error(tmp_path, launch):
-    """A missing setup file ends the launcher with 78 and the file's name."""
-    process, output, errors = launch("run", ARPD_ROS_SETUP=str(tmp_path / "gone.bash"))
+@pytest.mark.parametrize(("name", "way_out"), [("ARPD_ROS_SETUP", "/etc/default/arpd"), ("ARPD_BIN", "arpd-ros")])
+def test_a_missing_setup_file_or_arpd_is_a_configuration_error(tmp_path, launch, name, way_out):
+    """The launcher ends with 78, and says the way out."""
+    process, output, errors = launch("run", **{"ARPD_ROS_SETUP": "", name: str(tmp_path / "gone")})
     assert (process.returncode, output) == (78, [])
-    assert "gone.bash" in errors
-    assert "/etc/default/arpd" in errors
-
-
-def test_a_missing_arpd_is_a_configuration_error(tmp_path, launch):
-    """A missing arpd ends the launcher with 78 and the way out."""
-    process, _, errors = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(tmp_path / "nowhere"))
-    assert process.returncode == 78
-    assert "arpd-ros" in errors
+    assert way_out in errors

@@ -1,4 +1,4 @@
-"""Kill -9 of every participant of a writer swap, in every state of it."""
+"""Kill -9 of every participant of a writer swap, and readers that join, in every state of it."""
 
 from types import SimpleNamespace
 
@@ -47,30 +47,17 @@ def kill_reader(world):
 
 
 @every_state
-def test_a_killed_reader_leaves_one_writer_of_stated_qos(played, where):
-    """After a reader died the swap succeeds or is refused with a reason, and one writer is left."""
-    now = played(kill_reader).now[TOPICS[where]]
+def test_a_killed_reader_costs_the_other_one_nothing(played, where):
+    """The swap ends with one writer; the survivor has every sample, the restarted reader all from its first one on."""
+    topic, outcome = TOPICS[where], played(kill_reader)
+    now = outcome.now[topic]
     print(where, dict(now.last.swaps_by_result), now.last.refusal)
-    assert ended(now.last) == 1, now.last
+    assert (ended(now.last), now.last.published, now.last.withheld) == (1, outcome.sent, 0), now.last
     assert qos(now.last) == (BASELINE if now.last.refusal else ASKED)
     assert now.writers == [now.last.deadline_ns]
-
-
-@every_state
-def test_a_killed_reader_costs_the_other_one_nothing(played, where):
-    """The surviving reader has every published sample once and in order."""
-    topic = TOPICS[where]
-    last = played(kill_reader).now[topic].last
-    assert played(kill_reader).survivor[topic] == list(range(played(kill_reader).sent))
-    assert (last.published, last.withheld) == (played(kill_reader).sent, 0)
-
-
-@every_state
-def test_a_reader_started_again_receives(played, where):
-    """The restarted reader has all samples from its first one on."""
-    received = played(kill_reader).restarted[TOPICS[where]]
-    assert is_gapless(received)
-    assert received[-1] == played(kill_reader).sent - 1
+    assert outcome.survivor[topic] == list(range(outcome.sent))
+    assert is_gapless(outcome.restarted[topic])
+    assert outcome.restarted[topic][-1] == outcome.sent - 1
 
 
 def assert_planned(now):
@@ -99,27 +86,16 @@ def kill_node(world):
 
 
 @every_state
-def test_a_killed_node_takes_only_what_it_held_with_it(played, where):
-    """Samples announced as published have arrived once and in order, and only those announced as queued are lost."""
-    last = played(kill_node).before[TOPICS[where]].last
-    received = [number for number in played(kill_node).received[TOPICS[where]] if number < AGAIN]
-    assert received == list(range(last.published))
-    assert played(kill_node).sent - len(received) == last.queued
-    assert last.withheld == 0
-
-
-@every_state
 def test_a_node_started_again_begins_with_its_own_qos_and_gets_the_plan_back(played, where):
-    """The restarted node swaps from its application's QoS to the daemon's plan, and has one writer."""
-    assert_planned(played(kill_node).now[TOPICS[where]])
-
-
-@every_state
-def test_a_node_started_again_loses_nothing(played, where):
-    """The restarted node's samples arrive once and in order, through the swap to the plan."""
-    received = [number for number in played(kill_node).received[TOPICS[where]] if number >= AGAIN]
-    assert received == list(range(AGAIN, played(kill_node).end))
-    assert played(kill_node).now[TOPICS[where]].last.published == played(kill_node).end - AGAIN
+    """What its first life announced as published has arrived, and its second life loses nothing through the swap."""
+    topic, outcome = TOPICS[where], played(kill_node)
+    before = outcome.before[topic].last
+    received = [number for number in outcome.received[topic] if number < AGAIN]
+    assert received == list(range(before.published))
+    assert (outcome.sent - len(received), before.withheld) == (before.queued, 0)
+    assert_planned(outcome.now[topic])
+    assert outcome.received[topic][len(received) :] == list(range(AGAIN, outcome.end))
+    assert outcome.now[topic].last.published == outcome.end - AGAIN
 
 
 def kill_relay(world):
@@ -153,29 +129,25 @@ def kill_relay(world):
 
 @every_state
 def test_a_killed_relay_takes_only_what_it_held_with_it(played, where):
-    """Samples arrive once and in order from the first on, and only those announced as queued are lost."""
-    last = played(kill_relay).before[LINK[where]].last
-    received = [number for number in played(kill_relay).far[LINK[where]] if number < played(kill_relay).paused]
-    assert received == list(range(received[0], played(kill_relay).paused - last.queued))
+    """Samples arrive once and in order from the first on, only those announced as queued are lost, others lose none."""
+    topic, outcome = LINK[where], played(kill_relay)
+    last = outcome.before[topic].last
+    received = [number for number in outcome.far[topic] if number < outcome.paused]
+    assert received == list(range(received[0], outcome.paused - last.queued))
     assert last.offered == last.published + last.queued
     assert last.published >= len(received), "the far reader may match after the relay has begun"
+    assert outcome.near[TOPICS[where]] == list(range(outcome.sent)), "a reader of the source itself"
 
 
 @every_state
 def test_a_relay_started_again_carries_on(played, where):
     """The restarted relay swaps to the daemon's plan, and carries every sample from its first one on."""
-    topic = LINK[where]
-    now = played(kill_relay).now[topic]
+    topic, outcome = LINK[where], played(kill_relay)
+    now = outcome.now[topic]
     assert_planned(now)
-    received = [number for number in played(kill_relay).far[topic] if number >= played(kill_relay).paused]
-    assert received == list(range(received[0], played(kill_relay).sent))
+    received = [number for number in outcome.far[topic] if number >= outcome.paused]
+    assert received == list(range(received[0], outcome.sent))
     assert now.last.offered == now.last.published >= len(received)
-
-
-@every_state
-def test_a_killed_relay_does_not_touch_its_source(played, where):
-    """A reader of the source itself has every sample, once and in order."""
-    assert played(kill_relay).near[TOPICS[where]] == list(range(played(kill_relay).sent))
 
 
 def kill_daemon(world):
@@ -206,15 +178,6 @@ def kill_daemon(world):
 
 
 @every_state
-@pytest.mark.parametrize(("death", "depth"), [(0, DEPTH), (1, OTHER_DEPTH)])
-def test_a_swap_outlives_the_daemon_that_asked_for_it(played, where, death, depth):
-    """The swap succeeds without a daemon, and one writer is left."""
-    now = played(kill_daemon).deaths[death][TOPICS[where]]
-    assert (now.last.depth, now.last.refusal, ended(now.last)) == (depth, "", death + 1)
-    assert now.writers == [now.last.deadline_ns] != [0]
-
-
-@every_state
 def test_a_plan_with_a_lease_ends_with_its_daemon(played, where):
     """With ``on_lost: baseline`` the publisher returns to its own QoS and to generation 0."""
     now = played(kill_daemon).deserted[TOPICS[where]]
@@ -224,21 +187,74 @@ def test_a_plan_with_a_lease_ends_with_its_daemon(played, where):
 
 @every_state
 def test_a_daemon_started_again_takes_over(played, where):
-    """Without a lease the plan stays until the next daemon's, and generations rise until a lease is over."""
-    first = played(kill_daemon).deaths[0][TOPICS[where]].last
-    announced = played(kill_daemon).announced[TOPICS[where]]
+    """A swap outlives its daemon; the plan stays until the next one's, and generations rise until a lease is over."""
+    topic, outcome = TOPICS[where], played(kill_daemon)
+    for swaps, (death, depth) in enumerate(zip(outcome.deaths, (DEPTH, OTHER_DEPTH), strict=True), start=1):
+        now = death[topic]
+        assert (now.last.depth, now.last.refusal, ended(now.last)) == (depth, "", swaps)
+        assert now.writers == [now.last.deadline_ns] != [0]
+    first, announced = outcome.deaths[0][topic].last, outcome.announced[topic]
     generations = [state.generation for state in announced]
     while generations[-1] == 0:
         generations.pop()
     assert generations == sorted(generations)
     after = [qos(state) for state in announced[announced.index(first) :] if state.generation == first.generation]
     assert set(after) == {qos(first)}
-    assert_planned(played(kill_daemon).now[TOPICS[where]])
+    assert_planned(outcome.now[topic])
 
 
 @every_state
 def test_daemons_that_die_cost_no_sample(played, where):
     """Every published sample arrives once and in order."""
-    last = played(kill_daemon).now[TOPICS[where]].last
-    assert played(kill_daemon).received[TOPICS[where]] == list(range(played(kill_daemon).sent))
-    assert (last.published, last.withheld) == (played(kill_daemon).sent, 0)
+    topic, outcome = TOPICS[where], played(kill_daemon)
+    last = outcome.now[topic].last
+    assert outcome.received[topic] == list(range(outcome.sent))
+    assert (last.published, last.withheld) == (outcome.sent, 0)
+
+
+def join(world):
+    """One subscriber joins while every swap is stopped, another one as they go on."""
+    there = Log(world, "there")
+    talker = world.talker(stops=TOPICS)
+    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
+    eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
+    early = Log(world, "early")
+    eventually("the early reader matches", lambda: min(talker.tell("matched").values()) == 2)
+    late = Log(world, "late")
+    talker.tell("release")
+    eventually("every swap has ended", lambda: world.has_settled(TOPICS.values(), swaps=1))
+    eventually(
+        "all three readers are published to", lambda: all("3" in first for first in talker.tell("first").values())
+    )
+    sent = settle(world, talker, there, early, late)
+    first = {
+        readers: {
+            topic: min(number for count, number in of.items() if int(count) >= readers)
+            for topic, of in talker.tell("first").items()
+        }
+        for readers in (2, 3)
+    }
+    return SimpleNamespace(
+        now=world.picture(),
+        sent=sent,
+        there=there.numbers,
+        early=SimpleNamespace(numbers=early.numbers, first=first[2]),
+        late=SimpleNamespace(numbers=late.numbers, first=first[3]),
+    )
+
+
+@every_state
+def test_who_joins_during_a_swap_gets_everything_from_then_on(played, where):
+    """A joining reader has every sample since it matched; the swap ends, and the first reader loses nothing."""
+    topic, outcome = TOPICS[where], played(join)
+    for joined in (outcome.early, outcome.late):
+        numbers = joined.numbers[topic]
+        assert is_gapless(numbers)
+        assert numbers[0] <= joined.first[topic]
+        assert numbers[-1] == outcome.sent - 1
+    now = outcome.now[topic]
+    stated = (BASELINE_DEPTH, 0) if now.last.refusal else (DEPTH, DEADLINE_NS)
+    assert (now.last.depth, now.last.deadline_ns, ended(now.last)) == (*stated, 1)
+    assert now.writers == [now.last.deadline_ns]
+    assert outcome.there[topic] == list(range(outcome.sent))
+    assert (now.last.published, now.last.withheld) == (outcome.sent, 0)

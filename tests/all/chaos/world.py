@@ -84,11 +84,6 @@ class Process:
         self.stopped.clear()
         self.tell("stop", at={topic: where for where, topic in topics.items()})
 
-    def terminate(self):
-        """Stop it as systemd does, and wait for its end."""
-        self._popen.terminate()
-        self._popen.wait(timeout=PATIENCE_S)
-
     def kill(self):
         """Kill -9."""
         self._popen.send_signal(signal.SIGKILL)

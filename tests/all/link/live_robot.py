@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
-from scripts.bench.nodes import BASE_SINK
 from scripts.bench.robots import demo_robot
 from scripts.bench.sides import SIDES
 from scripts.bench.world import world_of
@@ -46,9 +44,3 @@ def is_confirmed(world):
     return status is not None and (
         len(status["topics"]) == status["plan"]["topics"] == status["plan"]["confirmed"] == len(TOPICS)
     )
-
-
-def newest_s(world, topic):
-    """Return how long ago a sample of a topic reached the base computer (s)."""
-    arrivals = world.children[BASE_SINK].ask(do="report")["arrivals"][topic]
-    return time.monotonic() - arrivals[-1][3] * 1e-9

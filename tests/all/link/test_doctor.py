@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import socket
-import struct
 import subprocess
 import time
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.ros.runtime import PROFILE_VARIABLES
-from scripts.netns.namespaces import inside
 from scripts.netns.simlink import INTERFACE, SimLink
 from tests.all.link.hosts import NEEDS_LINK, ip, python
 from tests.waiting import eventually
@@ -113,48 +109,3 @@ def test_a_node_over_tcp_that_arpd_cannot_hear_is_found(ends):
         return health == "wrong" and "TCPv4 there, UDPv4 here" in text
 
     eventually("the doctor knows that they never meet", judged)
-
-
-def overflow_a_socket():
-    """Send more datagrams than a socket holds that nobody reads."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as full,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
-    ):
-        full.bind(("127.0.0.1", 0))
-        for _ in range(1000):
-            out.sendto(bytes(1000), full.getsockname())
-
-
-def send_lone_fragments():
-    """Send first fragments of datagrams whose rest never comes, and let the kernel wait for it for a second only."""
-    Path("/proc/sys/net/ipv4/ipfrag_time").write_text("1")
-    with socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW) as out:
-        own = socket.inet_aton("127.0.0.1")
-        for number in range(1, 31):
-            more_fragments = 0x2000
-            header = struct.pack("!BBHHHBBH4s4s", 0x45, 0, 0, number, more_fragments, 64, 17, 0, own, own)
-            out.sendto(header + bytes(64), ("127.0.0.1", 0))
-
-
-def mend_reassembly():
-    """Set what the doctor says."""
-    Path("/proc/sys/net/ipv4/ipfrag_time").write_text("3")
-    Path("/proc/sys/net/ipv4/ipfrag_high_thresh").write_text("134217728")
-
-
-def test_datagrams_that_the_kernel_loses_are_found(ends):
-    """Full sockets and incomplete datagrams are found by the kernel's own counters, and the remedy ends the alarm."""
-
-    def found():
-        told = ends.doctor("robot", "--listen", "0")
-        return told["receive buffers"][0], told["fragments"][0]
-
-    namespace = ends.link.robot.namespace
-    assert found() == ("fine", "fine")
-    inside(namespace, overflow_a_socket)
-    assert found() == ("wrong", "fine")
-    inside(namespace, send_lone_fragments)
-    eventually("the kernel gives the fragments up", lambda: found() == ("wrong", "wrong"))
-    inside(namespace, mend_reassembly)
-    assert found() == ("wrong", "fine")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -18,11 +19,21 @@ from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns.namespaces import inside
 from scripts.netns.simlink import INTERFACE, SimLink
 from tests.all.link.hosts import NEEDS_LINK, REPO, ip
-from tests.readme_blocks import blocks, lines
+from tests.readme_blocks import blocks
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
-FOUND = blocks()
+# What a user follows from an empty computer to topics that arpd manages.
+FOUND = [
+    block
+    for name, section in (
+        ("README.md", "Install"),
+        ("README.md", "Configure"),
+        ("docs/operating.md", "The Fast DDS profile"),
+    )
+    for block in blocks(name)
+    if block.section == section
+]
 PYTHONS, YAMLS = ([block for block in FOUND if block.language == language] for language in ("python", "yaml"))
 DOMAIN = 21  # of the nodes; in the README's link domain live only arpd's processes
 PORT = 9464
@@ -62,6 +73,13 @@ rclpy.spin(node)
 """
 
 
+def typed(pattern):
+    """Return the lines of a shell that a pattern describes, of which there must be one."""
+    found = [line for block in FOUND for line in block.commands if re.fullmatch(pattern, line)]
+    assert found, f"no line of the documents is {pattern} any more"
+    return found
+
+
 class World:
     """A link whose hosts run what a user starts there."""
 
@@ -69,7 +87,7 @@ class World:
         self.link, self.folder = link, folder
         # Nodes start with the profile that the documents name; it is not installed here, so it comes from the checkout.
         self._environment = {**os.environ, "PYTHONPATH": str(REPO), "PATH": f"{folder}:{os.environ['PATH']}"}
-        assert lines(FOUND, r"export FASTRTPS_DEFAULT_PROFILES_FILE=.*fastdds\.xml.*")
+        assert typed(r"export FASTRTPS_DEFAULT_PROFILES_FILE=.*fastdds\.xml.*")
         self._environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(FASTDDS_PROFILE)
         command = folder / "arpd"
         command.write_text(f'#!/bin/sh\nexec {sys.executable} -m arpd.cli "$@"\n')
@@ -152,7 +170,7 @@ def users_node(block):
     return NODE.format(imports="\n".join(imports), body=textwrap.indent(body, " " * 8))
 
 
-@pytest.mark.parametrize("block", PYTHONS, ids=lambda block: block.place)
+@pytest.mark.parametrize("block", PYTHONS, ids=lambda block: block.section)
 def test_ones_own_node_is_found_and_planned(world, block):
     """With the README's lines in a node, the installed configuration and a reader over there, topics are planned."""
     world.start("robot", "run", "arpd", "run", "--config", str(REPO / "etc/arpd/arpd.yaml"))
@@ -166,11 +184,11 @@ def test_ones_own_node_is_found_and_planned(world, block):
     for number, (topic, _) in enumerate(topics):
         eventually(f"{topic} is planned", lambda topic=topic: world.is_planned(topic))
         eventually(f"{topic} arrives", lambda number=number: "received" in world.text(f"reader{number}"))
-    for line in lines(FOUND, r"arpd [a-z].*"):
+    for line in typed(r"arpd [a-z].*"):
         world.run("robot", line)
 
 
-@pytest.mark.parametrize("block", YAMLS, ids=lambda block: block.place)
+@pytest.mark.parametrize("block", YAMLS, ids=lambda block: block.section)
 def test_a_configuration_governs_nodes_that_are_not_ones_own(world, block):
     """Each end accepts the README's file; with two ends a plain node's topic crosses by its name, and is planned."""
     config = world.folder / "arpd.yaml"

@@ -77,6 +77,8 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     for name in HEAVY:
         assert after[name]["confirmed"]["generation"] > before[name]["confirmed"]["generation"], name
     eventually("the estimate is the slow link's", lambda: is_slow(metric(url, "arpd_link_capacity_bytes_per_second")))
+    for topic in TOPICS:
+        assert f'topic="{topic}"' in scraped(url)
     # The application continued: the same publishers, counters without a restart.
     assert all(after[name]["offered"] > before[name]["offered"] for name in HEAVY)
 
@@ -91,13 +93,16 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     assert len(arrived()) == len(sent)
 
 
-def metric(url, name):
-    def scraped():
+def scraped(url):
+    def scrape():
         with suppress(OSError), urllib.request.urlopen(f"{url}/metrics", timeout=30) as answer:
             return answer.read().decode()
 
-    text = eventually("the daemon answers", scraped)
-    return float(dict(line.rsplit(" ", 1) for line in text.splitlines() if line[0] != "#")[name])
+    return eventually("the daemon answers", scrape)
+
+
+def metric(url, name):
+    return float(dict(line.rsplit(" ", 1) for line in scraped(url).splitlines() if line[0] != "#")[name])
 
 
 def is_slow(rate):

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-import threading
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from http.client import HTTPConnection
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
@@ -187,14 +184,6 @@ def test_nobody_asks_while_nobody_looks(daemon, browser):
             seen.page.evaluate(hide, arg=False)
 
 
-def test_without_scripts_one_sentence_says_what_works(daemon, browser):
-    """The sentence names the command, and nothing else stands on the page."""
-    with visit(browser, daemon.server.url, java_script_enabled=False) as seen:
-        (said,) = seen.texts("noscript")
-        assert "arpd status" in said
-        assert not seen.page.locator("#live").is_visible()
-
-
 def test_a_clock_that_is_set_back_freezes_nothing(daemon, browser):
     """After the robot's clock went back by seconds or an hour, charts and freshness go on."""
     with visit(browser, daemon.server.url) as seen:
@@ -253,46 +242,6 @@ def test_the_keyboard_reaches_everything(daemon, browser):
             )
         assert {"a", "select", "div"} <= {name for name, _ in stops}
         assert all(outline != "none" for name, outline in stops if name != "body")
-
-
-class _Prefix(BaseHTTPRequestHandler):
-    """A reverse proxy that serves the daemon under /robots/seven/."""
-
-    upstream = 0
-
-    def do_GET(self):
-        if not self.path.startswith("/robots/seven/"):
-            self.send_error(404)
-            return
-        connection = HTTPConnection("127.0.0.1", self.upstream, timeout=10)
-        connection.request("GET", self.path.removeprefix("/robots/seven"))
-        answer = connection.getresponse()
-        self.send_response(answer.status)
-        for name, value in answer.getheaders():
-            if name not in {"Connection", "Date", "Server", "Transfer-Encoding"}:
-                self.send_header(name, value)
-        self.end_headers()
-        with suppress(OSError):
-            while part := answer.read1():
-                self.wfile.write(part)
-
-    def log_message(self, *args):
-        pass
-
-
-def test_it_works_under_a_path_of_a_proxy(daemon, browser):
-    """Behind a reverse proxy under a path, the page finds everything relative to itself."""
-    handler = type("Handler", (_Prefix,), {"upstream": daemon.server.port})
-    proxy = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    threading.Thread(target=proxy.serve_forever, daemon=True).start()
-    try:
-        with visit(browser, f"http://127.0.0.1:{proxy.server_port}/robots/seven/") as seen:
-            seen.await_live()
-            seen.await_charts()
-            assert seen.complaints == []
-    finally:
-        proxy.shutdown()
-        proxy.server_close()
 
 
 def test_it_works_behind_tls_and_a_password(daemon, browser, tmp_path):

@@ -14,9 +14,6 @@ from arpd.host.config.load import load_settings
 from arpd.model.errors import LinkError, RosUnavailableError
 from arpd.model.settings import Backend
 
-ALIAS_BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
-
-
 TOPICS = "--sensing 11 --actuation 0"
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import socket
 import struct
-import threading
 from types import SimpleNamespace
 
 import pytest
@@ -16,11 +14,8 @@ from arpd.host.discovery import (
     announced,
     command_name,
     is_arpd,
-    listen,
 )
-from tests.waiting import eventually
 
-DOMAIN = 231
 GUID = bytes.fromhex("010f78fd686e94d300000000")
 
 
@@ -98,33 +93,3 @@ def test_participants_are_counted_once_and_named(monkeypatch):
     ]
     packets = (2 * announcement(TOLD), announcement(TOLD) + b"XXXX", announcement({}), b"no RTPS at all")
     assert heard.bytes_per_second == (sum(map(len, packets)) + 5 * 42) / 2.0
-
-
-@pytest.fixture
-def sender(network):
-    """Send an announcement by multicast on the loopback, again and again."""
-    stopping = threading.Event()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-
-        def send():
-            while not stopping.wait(0.02):
-                out.sendto(announcement(TOLD), ("239.255.0.1", 7400 + 250 * DOMAIN))
-
-        thread = threading.Thread(target=send)
-        thread.start()
-        yield
-        stopping.set()
-        thread.join()
-
-
-def listened(interface, domain_id):
-    return listen(interface, domain_id, duration_s=0.1)
-
-
-def test_what_crosses_the_interface_is_heard(sender):
-    """A real socket hears a real packet on its interface; a domain that nobody uses is silent."""
-    (announcer,) = eventually("the announcement is heard", lambda: listened("lo", DOMAIN).announcers)
-    assert announcer.host == "vm"
-    silent = listened("lo", DOMAIN - 1)
-    assert (silent.announcers, silent.bytes_per_second) == ((), 0.0)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from arpd.host.journal import JournalHandler, log_event
+from arpd.host.journal import JournalHandler, configure_logging, log_event
 from arpd.report.conditions import MESSAGE_IDS, Happening, Severity
 from arpd.report.events import Event
 
@@ -147,6 +147,41 @@ def test_a_journal_that_hangs_stops_nobody(journal, logger):
     journal.socket.settimeout(60.0)
     logger.warning("again")
     assert [journal.entry()["MESSAGE"] for _ in range(2)] == ["again", LOST.format(3_000 - taken)]
+
+
+@pytest.fixture
+def root():
+    """Restore the root logger after the test."""
+    logger = logging.getLogger()
+    handlers, level = logger.handlers[:], logger.level
+    yield logger
+    for handler in set(logger.handlers) - set(handlers):
+        handler.close()
+    logger.handlers[:] = handlers
+    logger.setLevel(level)
+
+
+@pytest.mark.parametrize("stream", [None, "1:2", "", "nonsense"])
+def test_entries_go_to_the_journal_only_where_stderr_does(journal, root, tmp_path, stream):
+    """A JOURNAL_STREAM that names another file than stderr, which was redirected, has no effect."""
+    with (tmp_path / "stderr").open("w+") as stderr:
+        status = os.fstat(stderr.fileno())
+        environ = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}" if stream is None else stream}
+        root.handlers.clear()  # pytest's
+        configure_logging("info", name="arpd-relay", environ=environ, stderr=stderr, journal=journal.path)
+        logging.getLogger("arpd.daemon.tick").warning("hello")
+        stderr.seek(0)
+        said = stderr.read()
+    if stream is None:
+        entry = journal.entry()
+        assert (said, entry["MESSAGE"], entry["PRIORITY"], entry["SYSLOG_IDENTIFIER"]) == (
+            "",
+            "hello",
+            "4",
+            "arpd-relay",
+        )
+    else:
+        assert said == "WARNING arpd.daemon.tick: hello\n"
 
 
 def catalog():

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.host.kernel import counters, interface_to, is_own_address, read_mtu, route_mtu
-from arpd.model.errors import NotKnownError
+from arpd.host.kernel import counters, interface_to, is_own_address, route_mtu
 
 SNMP = """\
 Ip: Forwarding DefaultTTL ReasmTimeout ReasmReqds ReasmOKs ReasmFails
@@ -33,12 +32,6 @@ def test_counters_of_a_protocol_are_read_or_not_known(tmp_path, snmp, found):
     (tmp_path / "net/snmp").write_text(snmp)
     assert counters("Udp", proc=tmp_path) == found
     assert counters("Udp", proc=tmp_path / "nowhere") == {}
-
-
-def test_the_mtu_of_no_interface_is_not_known(tmp_path):
-    """The error names it."""
-    with pytest.raises(NotKnownError, match="wlan7"):
-        read_mtu("wlan7", sys_net=tmp_path)
 
 
 def test_the_route_to_this_computer_is_the_loopback(network):

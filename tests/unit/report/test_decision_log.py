@@ -188,16 +188,6 @@ def test_an_outage_is_told_with_its_length(log):
     assert "carries" not in told[0].text
 
 
-def test_peers_come_and_go(log):
-    """One is missed after ten silent seconds, until one reports."""
-    told = log.wait(1.0, peer_ages_s={"base": 0.1})
-    assert not log.wait(1.0, peer_ages_s={"base": 9.9})
-    (lost,) = log.wait(90.0, peer_ages_s={"base": 10.1}) + log.wait(90.0, peer_ages_s={})
-    assert (lost.kind, "base" in lost.text) == (Condition.PEER_LOST, True)
-    told = log.wait(1.0, peer_ages_s={"base": 0.1})
-    assert [(event.kind, event.details["state"]) for event in told] == [(Condition.PEER_LOST, "ended")]
-
-
 # -- rates
 
 FULL = slowed(camera=30.0, front=20.0, rear=20.0, imu=100.0)
@@ -256,18 +246,8 @@ REFUSING = {"refusal": "/camera is odd", "refusal_reason": RefusalReason.TRANSIE
 @pytest.mark.parametrize(
     ("kind", "severity", "changes", "numbers"),
     [
-        (
-            Condition.INTERFACE_DOWN,
-            "error",
-            {"counters": counters(InterfaceState.NO_CARRIER)},
-            ["wlan0 has no carrier"],
-        ),
         (Condition.INTERFACE_DOWN, "error", {"counters": None}, ["wlan0 is gone"]),
-        (Condition.STANDING_BY, "warning", {"active_daemon": "spare", "other_daemons": ("spare",)}, ["spare"]),
-        (Condition.SPARE_DAEMON, "warning", {"other_daemons": ("spare",)}, ["spare"]),
         (Condition.RELOAD_REFUSED, "warning", {"config_error": "a.yaml:2:3: link.x"}, ["a.yaml:2:3: link.x"]),
-        (Condition.RESTART_NEEDED, "warning", {"keys_awaiting_restart": ("http.port",)}, ["http.port"]),
-        (Condition.POSTPONED, "info", {"refusals": ("budget",)}, ["limit reached"]),
         (Condition.WITHOUT_PEER, "info", {"peer_ages_s": {}}, ["arpd-peer"]),
         (Happening.SWAP, "info", {"camera": {"last_swap": SWAP}}, ["3.4 s", "125 ms", "matching 3.1"]),
         (Happening.SWAP, "warning", {"camera": KEPT}, ["/r is late"]),
@@ -299,74 +279,45 @@ def test_counts_have_every_kind_and_the_last_events_are_kept(log):
     assert numbers == sorted(numbers)
 
 
-_NAMES = st.text(max_size=300)
-_RESULTS = 2 * ["ok", "reorder_possible", "unmatched", "what"]
+_WORDS = st.text(max_size=300)
+_NAMES = st.sampled_from(["a", "b", "d" * 250, "\x1b[2J\n"])
 _STEP = st.fixed_dictionaries(
     {"after_s": st.floats(0.05, 2.0)},
     optional={
         "state": st.sampled_from([LinkState.STEADY, LinkState.OUTAGE]),
-        "capacity_bytes_per_second": st.floats(0.0, 1e9),
-        "cross_traffic_bytes_per_second": st.floats(0.0, 1e9),
         "counters": st.sampled_from([None, counters(), counters(InterfaceState.DOWN)]),
-        "interface": st.sampled_from(["wlan0", "wlan1"]),
-        "peer_ages_s": st.dictionaries(_NAMES, st.floats(0.0, 60.0), max_size=3),
-        "peers": st.sampled_from([None, 0, 2]),
+        "peer_ages_s": st.dictionaries(_WORDS, st.floats(0.0, 60.0), max_size=3),
         "active_daemon": st.sampled_from(["", "a", "b\n"]),
-        "refusals": st.sampled_from([(), ("dwell",), ("budget",)]),
-        "topics": st.dictionaries(st.sampled_from(["a", "b", "c", "d" * 250]), st.floats(0.0, 1e4)).map(
-            lambda rates: slowed(**rates)
-        ),
-        "status": st.sampled_from(list(AllocationStatus)),
-        "degradation": _NAMES,
-        "config_error": _NAMES,
-        "confirmed": st.integers(0, 5),
-        "totals": st.builds(
-            Totals, reloads_by_result=st.dictionaries(st.sampled_from(["ok", "failed"]), st.integers(0, 9))
-        ),
-        "plan": st.builds(
-            lambda generation, rows: plan_of(generation, **rows),
-            st.integers(0, 9),
-            st.dictionaries(
-                st.sampled_from(["a", "b", "c", "d" * 250]),
-                st.tuples(st.integers(1, 5000), st.integers(0, 10**6)),
-            ),
-        ),
-        "reason": st.sampled_from(["", "start", "down", "up", "memory", "topics", "takeover"]),
+        "topics": st.dictionaries(_NAMES, st.floats(0.0, 1e4)).map(lambda rates: slowed(**rates)),
+        "config_error": _WORDS,
+        "plan": st.dictionaries(_NAMES, st.integers(1, 5000)).map(lambda rows: plan_of(len(rows), **rows)),
         "publishers": st.lists(
             st.builds(
                 publisher,
-                st.sampled_from(["/n", "/m"]),
-                st.sampled_from(["/a", "/b", "/c", "/" + "d" * 250]),
-                source_rate_hz=st.floats(0.0, 1e4),
-                rate_hz=st.floats(0.0, 1e4) | st.just(float("inf")),
-                refusal=_NAMES,
+                st.just("/n"),
+                _NAMES,
+                refusal=_WORDS,
                 refusal_reason=st.sampled_from(list(RefusalReason)),
-                last_swap=st.sampled_from([None, *map(swapped, range(1, 9), _RESULTS)]),
+                last_swap=st.integers(1, 8).map(swapped),
             ),
             max_size=8,
         ).map(tuple),
     },
 )
-_MOST_IN_A_MINUTE = 13 * len(MESSAGE_IDS)
 
 
 @examples(60)
 @given(st.lists(_STEP, min_size=1, max_size=60))
-def test_whatever_happens_the_log_stays_readable_and_bounded(steps):
-    """Any sequence of snapshots: printable lines of 600 characters at most, numbers in order, no flood."""
-    log, told = Log(), []
-    for step in steps:
-        told += [(log.at_s, event) for event in log.tick(**step)]
-        assert log.decision_log.follow(log.snapshot) == ()
-    assert [event.number for _, event in told] == list(range(1, len(told) + 1))
-    for _, event in told:
+def test_whatever_happens_the_log_stays_readable(steps):
+    """Any words and any sequence of snapshots: printable lines of 600 characters at most, and numbers in order."""
+    log = Log()
+    told = [event for step in steps for event in log.tick(**step)]
+    assert [event.number for event in told] == list(range(1, len(told) + 1))
+    for event in told:
         assert event.text.isprintable()
         assert 0 < len(event.text) <= 600
         assert all(name == name.lower() and text.isprintable() for name, text in event.details.items())
         assert all(len(text) <= 200 for text in event.details.values())
-    assert sum(log.decision_log.counts_by_kind.values()) == len(told)
-    for at_s, _ in told:
-        assert sum(at_s <= other_s < at_s + 60.0 for other_s, _ in told) <= _MOST_IN_A_MINUTE
 
 
 def test_a_flood_of_one_kind_is_told_as_a_number(log):

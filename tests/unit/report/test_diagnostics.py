@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.model.allocation import AllocationStatus
 from arpd.model.link import LinkState
 from arpd.report.diagnostics import Level, diagnose
 from tests.golden.sample import FINISHED_AT_S, held
@@ -31,17 +30,8 @@ def statuses(snapshot, *, after_s=0.0):
     ("snapshot", "part", "level", "words"),
     [
         (calm(link={"state": LinkState.OUTAGE}), "link", Level.ERROR, "The link carries nothing"),
-        (calm(observation={"counters": None}), "link", Level.ERROR, "wlan0 is gone"),
-        (calm(link={"state": LinkState.CONGESTED}), "link", Level.WARN, "12.5 ms of queue"),
-        (
-            calm(allocation={"status": AllocationStatus.DEGRADED, "degradation": "rate reserve 0 % left"}),
-            "plan",
-            Level.WARN,
-            "rate reserve 0 % left",
-        ),
         (calm(observation={"active_daemon": "robot-2"}), "plan", Level.WARN, "Standing by"),
         (calm(config_error="a.yaml:1:1: x"), "configuration", Level.WARN, "Reload refused: a.yaml:1:1: x"),
-        (calm(keys_awaiting_restart=("http.port",)), "configuration", Level.WARN, "http.port"),
     ],
 )
 def test_what_is_wrong_has_a_level_and_a_reason(snapshot, part, level, words):

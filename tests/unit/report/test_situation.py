@@ -44,10 +44,8 @@ def test_the_verdict_answers_the_four_questions():
         ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its minimum rate"),
         ({"observation": {"counters": None}}, Condition.INTERFACE_DOWN, "wlan0 is gone"),
         ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_DOWN, "link.interface"),
-        ({"observation": {"active_daemon": "robot-2"}}, Condition.STANDING_BY, "on robot-2"),
         ({"link": {"state": LinkState.DRAINING}}, Condition.QUEUE, "12.5 ms of queue"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.QUEUE, "unknown length"),
-        ({"allocation": {"capacity_bytes_per_second": 1e5}}, Condition.QUEUE, "may use 800 kbit/s of 4 Mbit/s"),
         ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
         (
             {"allocation": {"status": AllocationStatus.DEGRADED, "degradation": "20 % left"}},
@@ -218,7 +216,6 @@ def test_without_publishers_the_verdict_names_the_next_step(snapshot, words):
     [
         ({}, ("systemctl enable --now arpd-peer", "ROS domain 7", "auto")),
         ({"observation": {"peers": 1}}, ("no report arrives",)),
-        ({"link": {"kind": CapacityKind.CONFIGURED}}, ("link.initial_capacity",)),
         (
             {
                 "link": {"kind": CapacityKind.CONFIGURED},
@@ -226,7 +223,6 @@ def test_without_publishers_the_verdict_names_the_next_step(snapshot, words):
             },
             ("link.capacity",),
         ),
-        ({"link": {"kind": CapacityKind.LOCAL}}, ("queue",)),
         ({"link": {"kind": CapacityKind.RADIO}}, ("radio",)),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 
+from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.model.settings import HttpSettings
 from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
@@ -82,6 +83,42 @@ def test_a_publisher_announced_twice_does_not_break_the_scrape(sample_snapshot):
     doubled = sample_snapshot.observation.publishers * 2
     samples = families(observe(sample_snapshot, publishers=doubled))["arpd_topic_source_rate_hertz"].samples
     assert len(samples) == len({tuple(sample.labels.items()) for sample in samples}) == 4
+
+
+def relay_metrics(snapshot, **fields):
+    """Return the values of the relay's metrics by name and labels."""
+    exposed = families(observe(snapshot, **{"relay": None, **fields})).values()
+    samples = [sample for family in exposed for sample in family.samples if sample.name.startswith("arpd_relay_")]
+    return {(sample.name, *sample.labels.values()): sample.value for sample in samples}
+
+
+def test_a_silent_end_is_down_and_nothing_else_is_known(sample_snapshot):
+    """Its last counts would look as if they were new."""
+    assert relay_metrics(sample_snapshot, is_relay_silent=True) == {("arpd_relay_end_up",): 0.0}
+
+
+@pytest.mark.parametrize(
+    ("summary", "is_up"),
+    [
+        (RelaySummary(is_reachable=True), 1.0),
+        (RelaySummary(is_reachable=True, fault="it speaks version 2"), 0.0),
+        (RelaySummary(other_host="base"), 0.0),
+    ],
+)
+def test_the_other_end_is_up_while_it_is_heard_and_understood(sample_snapshot, summary, is_up):
+    """An end of another version carries nothing, so it is down too."""
+    found = relay_metrics(sample_snapshot, relay=summary)
+    assert (found["arpd_relay_end_up",], found["arpd_relay_other_end_up",]) == (1.0, is_up)
+
+
+def test_no_message_adds_a_label(sample_snapshot):
+    """Refused topics are counted by direction, and an unknown reason of failed calls has no series."""
+    refused = RelayTopics(refused={"/a": "b", "/c": "d"})
+    relay = RelaySummary(to_robot=refused, calls_failed={"timeout": 2, "invented": 9})
+    found = relay_metrics(sample_snapshot, relay=relay)
+    assert found["arpd_relay_topics", "to_robot", "refused"] == 2
+    assert found["arpd_relay_calls_failed_total", "timeout"] == 2
+    assert not any("invented" in key for key in found)
 
 
 # -- the status document
@@ -159,13 +196,6 @@ def test_a_tick_that_hangs_does_not_keep_the_metrics_back(sample_snapshot):
     """The server waits for a running tick for a second in all, not for good."""
     with running(snapshot=lambda: sample_snapshot, resting=threading.Event()) as world:
         assert "arpd_gate_ratio 0.75" in world.get("/metrics").text
-
-
-def test_who_has_the_answer_already_is_told_so(world):
-    """A request with the ETag of an answer that has not changed gets 304 and no body."""
-    first = world.get("/api/v1/history")
-    again = world.get("/api/v1/history", **{"If-None-Match": first.headers["ETag"]})
-    assert (again.status, again.raw) == (304, b"")
 
 
 def test_a_fault_while_answering_leaks_nothing_and_is_logged(caplog):

@@ -66,13 +66,6 @@ def test_words_from_outside_stay_in_their_comments(loaded, words, breaking):
     assert (read.relay.robot, read.on_stop) == ("robot", "restore")
 
 
-@pytest.mark.parametrize("name", ["/on", "/null", "/y", "/x1e3"])
-def test_names_that_yaml_could_take_for_something_else_stay_names(loaded, name):
-    """Every name is read back as text."""
-    (topic,) = loaded([LinkTopic(name=name, types=("std_msgs/msg/String",), writers=("/node",))])[1].topics
-    assert topic.name == name
-
-
 def test_without_an_address_check_names_the_line_to_fill_in(loaded):
     """A robot whose address is unknown gets a file with one fault, at the key that is missing."""
     link = LinkChoice(link_domain=77)

@@ -3,41 +3,24 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, example, given
+import yaml
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from arpd.host.config.keys import SECTIONS, flatten, kinds_of, needs_restart, spelled
 from arpd.host.config.load import load_settings
-from arpd.model.endpoints import Overflow
 from arpd.model.errors import ConfigError
-from arpd.model.settings import (
-    Backend,
-    DefaultPreferences,
-    GovernorSettings,
-    GraphSettings,
-    HttpSettings,
-    LinkSettings,
-    OnLost,
-    OnStop,
-    Policy,
-    Preferences,
-    ProgramSettings,
-    RelaySettings,
-    RelayTopic,
-    Settings,
-    TopicGroup,
-    TopicSettings,
-)
+from arpd.model.settings import Policy, Preferences, Settings
 from tests.examples import examples
 
 SHIPPED = Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml"
 FAULT = re.compile(
     r"(?P<file>.+?):(?P<line>[1-9]\d*):(?P<column>[1-9]\d*): (?P<key>[^ ].*?): (?P<wrong>.+); (?P<right>.+)"
 )
-FUZZ = examples(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture
@@ -64,17 +47,29 @@ def faults(load, tmp_path):
     return faults
 
 
+def _written(value, path=""):
+    """Yield every key of a file and its value, with the names of lists' items."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _written(inner, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for item in value:
+            yield from _written(item, f"{path}[{item.pop('name')}]")
+    else:
+        yield path, value
+
+
 def test_a_file_that_says_everything_becomes_the_settings(load):
-    """Every key sets its own attribute, in base units."""
+    """Every key sets its own value, in base units, and a topic has the defaults of the file."""
     text = """
-link: {interface: wlan0, capacity: 8mbit, initial_capacity: 125kB/s, headroom: 0.5, packet_overhead: 100us}
+link: {interface: wlan0, capacity: 8mbit, initial_capacity: 1mbit, headroom: 0.5, packet_overhead: 100us}
 program: {backend: closed_form, deadline_slack: 2, memory_budget: 1MiB, memory_reserve: 0B}
 governor: {hold: 1s, dwell: 3s, debounce: 250ms}
 http: {host: "::1", port: 9000}
 graph: {sensing_topics: 11, actuation_topics: 1}
 defaults: {weight: 2, min_rate_hz: 2, max_rate_hz: 20, min_depth: 2, max_depth: 50, latency_budget: none}
 topics:
-  - {name: /camera, max_rate_hz: source, latency_budget: 200ms, payload: measured, source_rate_hz: measured}
+  - {name: /camera, max_rate_hz: source, latency_budget: 0.2s, payload: measured, source_rate_hz: measured}
   - {name: /scan, weight: 4, min_rate_hz: 3, payload: 6kB, source_rate_hz: 12.5}
 relay:
   link_domain: 77
@@ -87,57 +82,22 @@ relay:
   services: ["/map_server/*"]
   actions: [/go]
   call_timeout: 2s
-  groups: [{topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info]}]
+  groups: [{name: /left, topics: [/left/image, /right/image]}, {name: /depth, topics: [/depth/image, /depth/info]}]
   prefix: /air
   topics: [{name: /camera, overflow: queue, depth: 20}, {name: /scan}]
 on_stop: keep
 on_lost: baseline
-lost_after: 1min
+lost_after: 60s
 """
-    shared = {"weight": 2.0, "max_rate_hz": 20.0, "min_depth": 2, "max_depth": 50, "latency_budget_s": None}
-    assert load(text) == Settings(
-        link=LinkSettings(
-            interface="wlan0",
-            capacity_bytes_per_second=1e6,
-            initial_capacity_bytes_per_second=125e3,
-            headroom=0.5,
-            packet_overhead_s=1e-4,
-        ),
-        program=ProgramSettings(
-            backend=Backend.CLOSED_FORM, deadline_slack=2.0, memory_budget_bytes=2.0**20, memory_reserve_bytes=0.0
-        ),
-        governor=GovernorSettings(hold_s=1.0, dwell_s=3.0, debounce_s=0.25),
-        http=HttpSettings(host="::1", port=9000),
-        graph=GraphSettings(sensing_topics=11, actuation_topics=1),
-        defaults=DefaultPreferences(min_rate_hz=2.0, **shared),
-        topics=(
-            TopicSettings(name="/camera", **shared | {"max_rate_hz": None, "latency_budget_s": 0.2}),
-            TopicSettings(
-                name="/scan", min_rate_hz=3.0, payload_bytes=6000.0, source_rate_hz=12.5, **shared | {"weight": 4.0}
-            ),
-        ),
-        relay=RelaySettings(
-            topics=(RelayTopic(name="/camera", overflow=Overflow.QUEUE, depth=20), RelayTopic(name="/scan")),
-            prefix="/air",
-            link_domain=77,
-            robot="robot1.local",
-            base="10.0.0.2",
-            namespace="/r1",
-            to_base=("/camera/**", "/scan"),
-            to_robot=(),
-            deny=("/camera/*/raw",),
-            services=("/map_server/*",),
-            actions=("/go",),
-            groups=(
-                TopicGroup(name="/left/image", topics=("/left/image", "/right/image")),
-                TopicGroup(name="/depth", topics=("/depth/image", "/depth/info")),
-            ),
-            call_timeout_s=2.0,
-        ),
-        on_stop=OnStop.KEEP,
-        on_lost=OnLost.BASELINE,
-        lost_after_s=60.0,
-    )
+    settings = load(text)
+    shown = flatten(settings)
+    for key, value in _written(yaml.safe_load(text)):
+        assert shown[key] == value, key
+    assert (settings.link.capacity_bytes_per_second, settings.link.packet_overhead_s) == (1e6, 1e-4)
+    assert (settings.program.memory_budget_bytes, settings.lost_after_s) == (2**20, 60.0)
+    camera, scan = settings.topics
+    assert (camera.max_rate_hz, camera.latency_budget_s, camera.payload_bytes, camera.weight) == (None, 0.2, None, 2.0)
+    assert (scan.max_rate_hz, scan.latency_budget_s, scan.payload_bytes, scan.weight) == (20.0, None, 6000.0, 4.0)
 
 
 @pytest.mark.parametrize("text", ["link: {interface: auto}", "{}", "on_stop: restore", "\ufefftopics: []"])
@@ -202,33 +162,24 @@ ENDS = "relay: {link_domain: 77, robot: a, "
 # The file, the place of its one fault and the key there, and what the fault says besides.
 ONE_FAULT = [
     # values
-    ("link:\n  headroom: much\n", "2:13: link.headroom", "not a number; write 0.05..1"),
     ("http:\n  port: '9464'\n", "2:9: http.port", "not a whole number; write 0..65535"),
-    ("http: {port: }", "1:13: http.port", "nothing is not a whole number"),
     ("http: {port: " + "9" * 5000 + "}", "1:14: http.port", "not a whole number"),
-    ("defaults: {weight: .inf}", "1:20: defaults.weight", "inf is out of range; write 0.001..1000"),
     ("link: {headroom: 1.5}", "1:18: link.headroom", "1.5 is out of range; write 0.05..1"),
     ("http: {port: -1}", "1:14: http.port", "-1 is out of range; write 0..65535"),
     ("governor: {hold: 2}", "1:18: governor.hold", "2 has no unit"),
     ("link: {capacity: 5parsec}", "1:18: link.capacity", "'parsec' is not a unit"),
-    ("link: {capacity: 1bit}", "1:18: link.capacity", "1bit is out of range; write 8kbit..100gbit"),
-    ("topics: [{name: /a, payload: 0B}]", "1:30: topics[0].payload", "0B is out of range; write 1B..1GB"),
     ("on_stop: explode", "1:10: on_stop", "write restore or keep"),
-    ("program: {policy: fair}", "1:19: program.policy", "write per_topic or uniform"),
     ('on_stop: "\\uD800"', "1:10: on_stop", "write restore or keep"),
     ("link:\n  interface: wlan9\n", "2:14: link.interface", "write auto or one of eth0, lo, wlan0"),
     # keys
     ("link:\n  headrom: 0.9\n", "2:3: link.headrom", "did you mean headroom?"),
-    ("\nlinks: {}\n", "2:1: links", "did you mean link?"),
     ("port: 80\n", "1:1: port", "did you mean http.port?"),
     ("defaults: {payload: 1kB}", "1:12: defaults.payload", "did you mean topics.payload?"),
     ("governor: {deadband: 0.1}", "1:12: governor.deadband", "unknown key; known here: hold, dwell, debounce"),
-    ("http: {zzz: 1}", "1:8: http.zzz", "host, port, web_config"),
     ("http: {1: 2}", "1:8: http.1", "unknown key"),
     ("http: {[a]: 2}", "1:8: yaml", "a list cannot be a key"),
     ("http:\n", "1:6: http", "has no value"),
     ("http: [1]", "1:7: http", "a list is not a mapping"),
-    ("topics: {name: /a}", "1:9: topics", "a mapping is not a list"),
     ("on_stop: keep\nlink: {}\non_stop: keep\n", "3:1: on_stop", "already given on line 1"),
     # topics
     ("topics:\n  - name: /a\n  - name: /b\n  - name: /a\n", "4:11: topics[2].name", "already given on line 2"),
@@ -239,19 +190,8 @@ ONE_FAULT = [
         "4:20: topics[0].min_rate_hz",
         "50 is above max_rate_hz 20; lower it or raise max_rate_hz",
     ),
-    (
-        "defaults: {max_rate_hz: 20}\ntopics:\n- {name: /a, min_rate_hz: 50}",
-        "3:27: topics[0].min_rate_hz",
-        "50 is above max_rate_hz 20",
-    ),
-    (
-        "topics:\n- {name: /a, max_rate_hz: 0.5}",
-        "2:27: topics[0].max_rate_hz",
-        "0.5 is below min_rate_hz 1",
-    ),
     ("defaults: {min_depth: 9, max_depth: 3}", "1:23: defaults.min_depth", "9 is above max_depth 3"),
     ("topics: [{name: /a/**, payload: 1kB}]", "1:33: topics[0].payload", "belongs to one topic; name it without stars"),
-    ("topics: [{name: '/a**'}]", "1:17: topics[0].name", "not an absolute ROS name or a pattern of such"),
     # the relay
     ("relay: {topics: [{name: /link/scan}]}", "1:25: relay.topics[0].name", "write /scan"),
     (
@@ -259,23 +199,14 @@ ONE_FAULT = [
         "1:54: relay.topics[1].name",
         "lies under relay.prefix /a/b, where relayed topics go; write /c/d",
     ),
-    ("relay: {topics: [{name: /link}]}", "1:25: relay.topics[0].name", "lies under relay.prefix"),
-    (
-        f"relay: {{topics: [{{name: /{'a' * 244}}}]}}",
-        "1:25: relay.topics[0].name",
-        "250 characters long; ROS allows 247",
-    ),
     ("relay:\n  link_domain: 77\n", "2:16: relay.link_domain", "give relay.robot or relay.base"),
     ("relay: {robot: 10.0.0.1}", "1:16: relay.robot", "needs relay.link_domain"),
-    ("relay:\n  groups:\n  - topics: [/a, /b]\n", "3:3: relay.groups", "needs relay.link_domain"),
     ("relay: {link_domain: 77, robot: 10.0.0.256}", "1:33: relay.robot", "not an address"),
     ("relay: {link_domain: 77, base: fd00::1}", "1:32: relay.base", "no IPv4 address, and arpd's link is IPv4"),
     (ENDS + "namespace: r1}", "1:47: relay.namespace", "write /r1"),
     (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "never crosses the link"),
     (ENDS + "deny: /x}", "1:42: relay.deny", "'/x' is not a list"),
     (ENDS + "to_base: [/a, /b**]}", "1:50: relay.to_base[1]", "'/b**' is not an absolute ROS name or a pattern"),
-    (ENDS + "services: [a/**]}", "1:47: relay.services[0]", "write /a/**"),
-    (ENDS + "actions: [1]}", "1:46: relay.actions[0]", "1 is not an absolute ROS name"),
     (
         f"relay: {{link_domain: 77, robot: a, deny: [/{'a' * 247}]}}",
         "1:43: relay.deny[0]",
@@ -284,7 +215,6 @@ ONE_FAULT = [
     # groups
     (ENDS + "groups: [{topics: [/left/image, /right/**]}]}", "1:68: relay.groups[0].topics[1]", "is a pattern"),
     (ENDS + "groups: [{topics: [/left/image]}]}", "1:54: relay.groups[0].topics", "fewer than two topics"),
-    (ENDS + "groups: [{topics: [/a, /b], by: time}]}", "1:64: relay.groups[0].by", "unknown key"),
     (
         "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - topics: [/a, /b]\n  - topics: [/c, /a]\n",
         "6:18: relay.groups[1].topics[1]",
@@ -294,11 +224,6 @@ ONE_FAULT = [
         ENDS + "groups: [{name: /g, topics: [/a, /b]},\n{name: /g, topics: [/c, /d]}]}",
         "2:8: relay.groups[1].name",
         "already given on line 1",
-    ),
-    (
-        ENDS + "groups: [{topics: [/a, /b]},\n{name: /b, topics: [/c, /d]}]}",
-        "2:8: relay.groups[1].name",
-        "is a topic of the group on line 1",
     ),
     (
         ENDS + "groups: [{topics: [/a, /b]}], topics: [{name: /a, depth: 3},\n  {name: /b, depth: 3}]}\n",
@@ -312,14 +237,11 @@ ONE_FAULT = [
     ),
     # YAML
     ("", "1:1: file", "is empty"),
-    ("- a", "1:1: file", "is a list"),
     ("link: {}\n---\nhttp: {}\n", "2:1: yaml", "second YAML document"),
     ("link: [1\n", "2:1: yaml", "correct the YAML here"),
     ("a: b\nc: \x07", "2:4: yaml", "control character"),
     (b"link: {}\non_stop: \xff", "2:10: file", "byte 0xff is not UTF-8"),
     ("link: &a {}\n", "1:7: yaml", "anchors, aliases and tags are not allowed"),
-    ("link: {}\nhttp: *a\n", "2:7: yaml", "anchors, aliases and tags are not allowed"),
-    ("link: !!python/none x\n", "1:7: yaml", "anchors, aliases and tags are not allowed"),
     ("link: " + "[" * 50_000, "1:26: yaml", "more than 20 deep"),
     ("#" * (2**20 + 1), "1:1: file", "larger than 1 MiB"),
     ('on_stop: "\\UFFFFFFFF"', "1:13: yaml", "a number is out of range"),
@@ -374,34 +296,28 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path, path, wrong):
     assert "\n" not in refused.value.faults[0]
 
 
-def test_interfaces_are_not_checked_where_they_are_not_known(tmp_path):
-    """A robot's file can be checked on another computer."""
-    (tmp_path / "arpd.yaml").write_text("link: {interface: wlan9}")
-    assert load_settings(tmp_path / "arpd.yaml", interfaces=None).link.interface == "wlan9"
+_FOLDER = tempfile.TemporaryDirectory(prefix="arpd-test-load-")  # scripts/bench/fuzz.py gives no fixtures
+# Slips of an editor in the shipped file, without its comments, which cost time and change nothing.
+_LINES = [line for line in SHIPPED.read_text().splitlines() if line.strip() and not line.lstrip().startswith("#")]
+_SLIPS = {
+    "drop": lambda lines, i, _: lines.pop(i),
+    "double": lambda lines, i, j: lines.insert(j, lines[i]),
+    "indent": lambda lines, i, _: lines.insert(i, "  " + lines.pop(i)),
+    "dedent": lambda lines, i, _: lines.insert(i, lines.pop(i).removeprefix("  ")),
+    "cut": lambda lines, i, j: lines.insert(i, lines.pop(i)[:j]),
+    "swap": lambda lines, i, j: lines.insert(j, lines.pop(i)),
+}
 
 
-def test_the_link_domain_must_not_be_the_one_of_this_computers_nodes(tmp_path):
-    """In the domain of the robot's nodes the two ends would see their own copies."""
-    path = tmp_path / "arpd.yaml"
-    path.write_text("relay: {link_domain: 7, base: 10.0.0.2}")
-    with pytest.raises(ConfigError) as refused:
-        load_settings(path, interfaces=None, local_domain=7)
-    fault = "1:22: relay.link_domain: 7 is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
-    assert refused.value.faults == [f"{path}:{fault}"]
-    for other in (0, None):
-        assert load_settings(path, interfaces=None, local_domain=other).relay.link_domain == 7
+def _mangled(slips, junk, at):
+    lines = list(_LINES)
+    for slip, i, j in slips:
+        _SLIPS[slip](lines, i, j)
+    raw = "\n".join(lines).encode()
+    return raw[:at] + junk + raw[at:]
 
 
-def _check_any(load, text):
-    faults = ["a.yaml:1:1: none: was found; that is right"]
-    try:
-        assert isinstance(load(text), Settings)
-    except ConfigError as error:
-        faults = error.faults
-    assert faults
-    assert all(FAULT.fullmatch(fault) for fault in faults)
-
-
+_AT = st.integers(0, len(_LINES) - 7)
 _YAML_BITS = st.sampled_from(
     [
         *"[]{}'\"|>#?~\t\n\x85é-",
@@ -409,20 +325,50 @@ _YAML_BITS = st.sampled_from(
         *("...\n", "%TAG ! x\n", '"\\U99999999"', "/a", "20mbit", "1e400", "<<"),
     ]
 )
-
-
-@FUZZ
-@given(
+_ODD = (
     st.binary(max_size=200)
     | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass"))
-    | st.lists(_YAML_BITS, max_size=40).map("".join)
+    | st.lists(_YAML_BITS, max_size=40).map(lambda bits: "".join(bits).encode())
+    | st.builds(
+        _mangled,
+        st.lists(st.tuples(st.sampled_from(list(_SLIPS)), _AT, _AT), min_size=1, max_size=6),
+        st.binary(max_size=4),
+        st.integers(0, 2000),
+    )
 )
+
+
+@examples(100)
+@given(_ODD)
 @example(b'"\\xFFFF": &')
 @example(b"? [a]\n: b")
 @example(b"%YAML 1." + b"9" * 5000 + b"\n---\na: 1")
-def test_any_file_is_settings_or_faults(load, raw):
-    """Any bytes, text or heap of YAML loads or raises ConfigError."""
-    _check_any(load, raw)
+def test_a_mangled_file_loads_or_says_where_it_is_wrong(raw):
+    """Any bytes, heap of YAML or edit of the shipped file loads, or each fault names a line of that file."""
+    path = Path(_FOLDER.name) / "arpd.yaml"
+    try:
+        path.write_bytes(raw)
+        assert isinstance(load_settings(path, interfaces=None), Settings)
+    except ConfigError as error:
+        for fault in error.faults:
+            assert FAULT.fullmatch(fault)
+            assert 1 <= int(fault.split(":")[1]) <= len(raw.decode(errors="replace").splitlines()) + 1
+
+
+@pytest.mark.parametrize(
+    "raw", [b"topics: [" + b"[]," * 30_000 + b"]", b"".join(b"k%d: 1\n" % k for k in range(25_000))]
+)
+def test_a_costly_file_is_refused_early(faults, raw):
+    """Reading stops early at a file that would take a quarter of a minute and half a gigabyte."""
+    (fault,) = faults(raw)
+    assert "yaml: holds more than 20,000 keys and values;" in fault
+
+
+def test_of_many_faults_the_first_hundred_are_told(faults):
+    """A file with many faults does not fill the journal: one line counts the faults above a hundred."""
+    told = faults(b"".join(b"k%d: 1\n" % k for k in range(150)))
+    assert len(told) == 101
+    assert told[-1] == "101:1: file: has 50 more faults; correct those above first"
 
 
 def test_the_policy_is_one_of_two(load):
