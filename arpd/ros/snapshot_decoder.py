@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from arpd.model.endpoints import (
     Direction,
@@ -59,7 +59,8 @@ Count = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 Generation = Annotated[int, Field(ge=0, le=MOST_GENERATION)]
 Seconds = Annotated[float, Field(ge=0.0, le=MOST_SECONDS)]
 T = TypeVar("T")
-Column = Annotated[list[T], Field(max_length=MOST_OF_NODE)]
+# A short message may unfold to 400,000 faults, which took 2 s to write down; the first one is enough.
+Column = Annotated[list[T], Field(max_length=MOST_OF_NODE), FailFast()]
 Rates = Annotated[Column[Seconds | None], AfterValidator(_unpaced_as_infinite)]
 Words = Annotated[dict[Text, Text], Field(max_length=MOST_NAMED)]
 Phases = Annotated[dict[str, Seconds], *_keyed_by(SwapPhase)]
@@ -156,7 +157,7 @@ class _Relay(_Told):
     link_bytes: Count = 0
     incomplete: Count = 0
     calls_failed: Annotated[dict[Text, Count], Field(max_length=MOST_NAMED)] = Field(default_factory=dict)
-    strangers: Annotated[tuple[Text, ...], Field(max_length=MOST_NAMED)] = ()
+    strangers: Annotated[tuple[Text, ...], Field(max_length=MOST_NAMED), FailFast()] = ()
     types_differ: Words = Field(default_factory=dict)
 
     def summary(self) -> RelaySummary:
