@@ -14,6 +14,7 @@ from arpd.model.interface import InterfaceState
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkState
 from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
+from arpd.model.wire import probe_wire_bytes
 from tests.examples import examples
 from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
@@ -254,6 +255,16 @@ def test_a_queue_that_nobody_measures_now_is_forgotten():
     assert estimate.state is not LinkState.OUTAGE
     pinned.estimator.reconfigure(LinkSettings(capacity_bytes_per_second=1e6))
     assert pinned.tick(silent=True).queue_delay_s == 0.0
+
+
+def test_its_own_probes_are_no_cross_traffic():
+    """The many large trains of the first seconds count as our own."""
+    link = Link()
+    for _ in range(60):
+        sent = sum(probe.packets * probe_wire_bytes(probe.packet_bytes) for _, probe in link.probes)
+        estimate = link.tick(counters=replace(INTERFACE, tx_bytes=sent), peers=1)
+        assert estimate.cross_traffic_bytes_per_second == 0.0
+    assert sent > 6 * 40_000
 
 
 # -- whether pings and looks meet a queue
