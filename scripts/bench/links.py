@@ -7,10 +7,11 @@ from bisect import bisect_right
 from pathlib import Path
 
 from arpd.sim.trace import read_trace
+from scripts.netns.simlink import STALLED
 
 MBIT = 125_000.0  # bytes/s
 WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
-DURATION_S, CALM_S = 28.0, 5.0
+DURATION_S, CALM_S, STALL_S = 28.0, 5.0, 50.0
 _OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
 _GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
 SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
@@ -46,6 +47,20 @@ def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
         ),
         "steady-20": ("20 Mbit/s", [(0.0, fast, 0.0)]),
         "steady-5": ("5 Mbit/s", [(0.0, slow, 0.0)]),
+    }
+
+
+def hard_links() -> dict[str, tuple[str, Course]]:
+    """Return further links, which are hard on large samples."""
+    fast, slow = 20 * MBIT, 5 * MBIT
+    return {
+        "fall-and-rise": ("20 → 5 → 20 Mbit/s", [(0.0, fast, 0.0), (CALM_S, slow, 0.0), (CALM_S + 9.0, fast, 0.0)]),
+        "stalled": (
+            "20 Mbit/s; for 50 s everything waits",
+            [(0.0, fast, 0.0), (CALM_S, STALLED, 0.0), (CALM_S + STALL_S, fast, 0.0)],
+        ),
+        "loss-2": ("20 Mbit/s, 2 % of the packets are lost", [(0.0, fast, 0.02)]),
+        "loss-5": ("20 Mbit/s, 5 % of the packets are lost", [(0.0, fast, 0.05)]),
     }
 
 

@@ -17,7 +17,7 @@ import yaml
 
 from arpd.sim.demo import COMMAND_TOPIC, DEMO_CONFIG, demo_topics
 from scripts.bench.child import ChildError
-from scripts.bench.links import DURATION_S, links
+from scripts.bench.links import DURATION_S, STALL_S, hard_links, links
 from scripts.bench.report import Summary, table
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import PREFIX, SIDES, Robot, Service
@@ -108,6 +108,7 @@ _TOPICS: dict[str, tuple[Topic, ...]] = {
 }
 GROUPED = {"rgbd": ("/depth/image", "/depth/camera_info", "/color/image", "/color/camera_info")}
 
+_LINKS = {**links(), **hard_links()}
 _SERVICES = {"nav2": Service(name="/map_server/map", node=_MAP_SERVER, answer_bytes=4_000_000, every_s=10.0)}
 
 
@@ -124,7 +125,7 @@ def demo_robot() -> Robot:
     )
 
 
-LINKS = ("steady-20", "step-down")
+LINKS = ("steady-20", "fall-and-rise")
 #: Sides by name, and what each is in words; all processes of the last three have arpd beside them.
 WAYS = {
     "plain": "rclpy's defaults",
@@ -137,7 +138,7 @@ WAYS = {
 
 def measured(robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: float) -> dict[str, Any]:
     """Return the figures of one side."""
-    course = links()[link][1]
+    course = _LINKS[link][1]
     about = Robot(topics=_TOPICS[robot], service=_SERVICES.get(robot), groups=GROUPED.get(robot, ()))
     with world_of(about, SIDES[side], bottleneck=bottleneck, rate=course[0][1]) as world:
         account, spent = world.play(course, seconds)
@@ -151,8 +152,10 @@ def measured(robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: 
         "small %": small.get("delivered_percent"),
         "worst topic %": small.get("worst_delivered_percent"),
         "small p99 ms": small.get("p99_ms"),
+        "small gap beyond its period s": small.get("gap_over_period_s"),
         "commands %": commands.get("delivered_percent"),
         "commands p99 ms": commands.get("p99_ms"),
+        "commands max ms": commands.get("max_ms"),
         "large p99 ms": large.get("p99_ms"),
         "large/s": large.get("per_second"),
         "whole sets/s": account.sets_per_second() if about.groups else None,
@@ -164,13 +167,14 @@ def measured(robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: 
 
 def play(*, is_quick: bool, only: str = "") -> Summary:
     """Play every robot on two links, with both bottlenecks and every side."""
-    cells = list(product(_TOPICS, links() if only else LINKS, get_args(Bottleneck), WAYS))
+    cells = list(product(_TOPICS, _LINKS if only else LINKS, get_args(Bottleneck), WAYS))
     if is_quick:
-        cells = [("tb4", "step-down", "middle", "two_ends")]
+        cells = [("tb4", "fall-and-rise", "middle", "two_ends")]
     rows = []
     for cell in (each for each in cells if only in " ".join(each)):
         try:
-            rows.append(measured(*cell, seconds=8.0 if is_quick else DURATION_S))
+            lasts_s = 2 * STALL_S if cell[1] == "stalled" else DURATION_S
+            rows.append(measured(*cell, seconds=8.0 if is_quick else lasts_s))
         except ChildError as error:
             print(f"{', '.join(cell)}: {error}", file=sys.stderr)
     return Summary(

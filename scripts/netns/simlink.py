@@ -53,6 +53,7 @@ Bottleneck = Literal["sender", "middle"]
 DEFAULT_RATE_BYTES_PER_SECOND = 2_500_000.0  # 20 Mbit/s
 DEFAULT_QUEUE_BYTES = 256_000  # about the queue of a Wi-Fi driver; 102 ms at 20 Mbit/s, 410 ms at 5 Mbit/s
 INTERFACE = "link0"
+STALLED = 1.0  # bytes/s: nothing passes, and nothing is lost
 MIN_BURST_BYTES = MTU_BYTES + 40  # a full frame and the rounding of tbf, which drops frames above its bucket size
 
 _TIMER_SLACK_S = 100e-6  # lateness of the kernel's timer up to which the bucket loses no credit
@@ -141,10 +142,13 @@ class SimLink:
         self._undo.close()
 
     def set_rate(self, rate_bytes_per_second: float) -> None:
-        """Change the rate of both directions; queued packets stay."""
+        """Change the rate of both directions; queued packets stay, at STALLED all of them."""
         self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
         for end in self._shaped():
-            inside(end.namespace, partial(link_end.reshape, end, self._bucket()))
+            if rate_bytes_per_second == STALLED:
+                _stall(end, self._queue_bytes)
+            else:
+                inside(end.namespace, partial(link_end.reshape, end, self._bucket()))
         for host in self.hosts:
             inside(host.namespace, partial(_knock, host))
 
@@ -310,6 +314,13 @@ def _burst_bytes(rate_bytes_per_second: float) -> int:
     without slack (and a flood of full frames gets 97 % of the rate), +5 % with 100 us (and 100 %), +12 % with 400 us.
     """
     return int(MIN_BURST_BYTES + _TIMER_SLACK_S * rate_bytes_per_second)
+
+
+def _stall(end: Host, queue_bytes: int) -> None:
+    """Let a bucket pass a frame every half hour; pyroute2 cannot say so, and the kernel would drop what comes."""
+    bucket = ("rate", "8bit", "burst", str(MIN_BURST_BYTES), "limit", str(queue_bytes))
+    change = ("qdisc", "change", "dev", end.interface, "root", "handle", "1:", "tbf", *bucket)
+    subprocess.run([executable("tc"), "-n", end.namespace, *change], check=True)
 
 
 def _checked_rate(rate_bytes_per_second: float) -> float:
