@@ -119,8 +119,8 @@ class Daemon:
             why = f"the daemon at {url} {wrong}; the password is taken from ${PASSWORD}"
         elif code == HTTPStatus.TOO_MANY_REQUESTS:
             why = f"the daemon at {url} had too many wrong passwords from here; wait a few seconds"
-        elif code == HTTPStatus.BAD_REQUEST and b"HTTPS" in body[:100]:
-            why = f"the daemon at {url} speaks HTTPS; write https:// in --url"
+        elif code == HTTPStatus.MISDIRECTED_REQUEST:
+            why = f"the computer at {url} does not call itself so; write its address, or a name of its own, in --url"
         else:
             return code, body  # a daemon that is not ready has its reason in the body of its 503
         raise DaemonUnreachableError(why)
@@ -208,6 +208,9 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         return DaemonUnreachableError(why)
     if isinstance(error, ssl.SSLError):
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
+        return DaemonUnreachableError(why)
+    if isinstance(error, ConnectionResetError) and url.lower().startswith("http:"):
+        why = f"no whole answer from {url} ({error}); if the daemon has TLS, write https:// in --url"
         return DaemonUnreachableError(why)
     hint = "is it running (systemctl status arpd), and is http.port the same?"
     return NoAnswerError(f"no daemon answers at {url} ({error}); {hint}", is_late=isinstance(error, TimeoutError))

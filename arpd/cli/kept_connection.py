@@ -92,7 +92,8 @@ class KeptConnection:
             self._hang_up()  # the rest of this answer may still come
             raise TimeoutError("timed out") from None
         except StreamClosedError as error:
-            raise error.real_error or ConnectionResetError("it closed the connection") from None
+            cause = error.real_error  # what is too long for an answer is none of the system's
+            raise cause if isinstance(cause, OSError) else ConnectionResetError("it closed the connection") from None
 
     async def _get(self, path: str) -> Answer:
         if self._stream is not None and not self._stream.closed():

@@ -138,8 +138,8 @@ class Governor:
             look = self._look(now_s, lasting, topics, publishers, participants)
             self._swaps.fill(now_s, lasting.capacity_bytes_per_second)
             cause = self._follow_memory(look) or self._follow(look, state)
-        if self._owed:
-            self._refuse("budget")
+            if self._owed:
+                self._refuse("budget")
         self.refusals_by_reason.update(self._refusals - known)
         return Decision(
             gate=_admitted(rates, topics),
@@ -219,6 +219,7 @@ class Governor:
             name: before if (before := self._moving.get(name, start))[0] is move else (move, look.now_s)
             for name, move in look.moves.items()
         }
+        self._owed = self._owed.intersection(self._moving)  # not where a source fell silent, or its QoS fits again
         level = look.lasting.capacity_bytes_per_second
         if self.plan.generation > 0 and not self._moving and level != self.plan.level_bytes_per_second:
             self.plan = replace(self.plan, level_bytes_per_second=level)

@@ -33,6 +33,8 @@ _LOSSY = 0.01
 _RANK = {condition: number for number, condition in enumerate(Condition)}
 # What nobody can know while the link is cut or another daemon drives the robot: it neither begins nor ends.
 HIDDEN_WHILE_CUT = {
+    Condition.OUTAGE,  # while the interface is down, or no peer answers this daemon, because it asks nothing
+    Condition.PEER_LOST,
     Condition.MINIMUM_RATES,
     Condition.RELAY_CUT,
     Condition.UNCONFIRMED,
@@ -161,11 +163,11 @@ def found_in(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.SPARE_DAEMON, f"on {listed(others)}, in the same ROS domain")
     if fault := _interface_fault(snapshot):
         yield Finding(Condition.INTERFACE_DOWN, f"{fault}; arpd goes on by itself when that changes", fault)
-    elif snapshot.link.state is LinkState.OUTAGE:
+    elif snapshot.link.state is LinkState.OUTAGE and not observation.active_daemon:
         yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
     yield from _of_configuration(snapshot)
     yield from _of_relay(snapshot)
-    if why := waiting.peer(snapshot):
+    if not observation.active_daemon and (why := waiting.peer(snapshot)):
         silent_s = waiting.lost_for_s(snapshot)
         if silent_s is not None:
             yield Finding(Condition.PEER_LOST, why, lasts_s=silent_s)

@@ -61,7 +61,7 @@ class Access:
         try:
             protection = load_protection(self._path)
             fault = _opened(self.protection, protection)
-        except ConfigError as error:
+        except (ConfigError, OSError) as error:  # a certificate may vanish while it is read
             fault = str(error)
         self._counts.is_config_good.set(not fault)
         if fault:
@@ -112,7 +112,8 @@ def is_own_name(host: str, listening_on: str) -> bool:
 @cache
 def _own_names() -> frozenset[str]:
     name = socket.gethostname().lower()
-    return frozenset({name, f"{name}.local", socket.getfqdn().lower()})
+    short = name.partition(".")[0]  # some computers have their whole name as host name; mDNS takes the first part
+    return frozenset({name, short, f"{short}.local", socket.getfqdn().lower()})
 
 
 def client_of(address: str) -> str:

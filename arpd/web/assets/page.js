@@ -8,7 +8,7 @@ const PERIOD_MS = 1000;
 const TIMEOUT_MS = 4000;
 const HISTORY_TIMEOUT_MS = 10000; // it is large
 const HISTORY_PAUSE_MS = 10000; // after a failure
-const STALE_S = 3; // STALE_AFTER_S of arpd/report/situation.py
+const STALE_S = 3; // Condition.STALE of arpd/report/conditions.py
 const GAP_S = 5; // shorter gaps stay in the charts
 
 const fields = new Fields(document.body);

@@ -78,6 +78,7 @@ def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch):
         ('{"api_version": "v9", "ready": true, "link": {}}', 200, 1, "another version"),
         ("<html>", 200, 3, "is not arpd"),
         ("503 busy\n", 503, 3, "is not arpd"),
+        ("421 Misdirected Request\n", 421, 3, "a name of its own"),
     ],
 )
 def test_only_a_document_of_arpd_that_is_ready_is_well(status, body, code, exits, said):
@@ -129,6 +130,13 @@ def test_an_answer_that_only_trickles_ends_at_one_deadline(run, monkeypatch, lin
         code, out, err = run("status", "--url", url)
     assert (code, out) == (3, "")
     assert "timed out" in err
+
+
+def test_what_never_becomes_an_answer_is_none(run):
+    """A port that sends anything but HTTP ends in one line."""
+    with trickling(b"x" * 100_000) as url:
+        code, out, err = run("status", "--url", url)
+    assert (code, out, err.count("\n")) == (3, "", 1)
 
 
 @pytest.mark.parametrize("command", [["status"], ["doctor"]])

@@ -350,6 +350,19 @@ def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
     assert changes(run.ticks(120.0)) == []
 
 
+def test_a_source_that_falls_silent_is_owed_nothing():
+    """Swaps count as postponed only while some are due: not for a silent source, and not without topics."""
+    weighted = tuple(replace(topic, weight=1.0 + i) for i, topic in enumerate(TOPICS))
+    run = Run(topics=weighted, participants=50)
+    assert run.ticks(3.0)[-1].refusals == ("budget",)
+    run.silent = {"/t0"}
+    assert run.tick().refusals == ()
+    run = Run(topics=weighted, participants=50)
+    run.ticks(3.0)
+    run.topics = ()
+    assert run.tick().refusals == ()
+
+
 def test_a_publisher_that_refuses_new_qos_costs_nothing():
     """Publishers that refuse QoS for good do not use up the budget."""
     refusing = publisher("/n", "/t", refusal="no", refusal_reason=RefusalReason.TRANSIENT_LOCAL)

@@ -188,6 +188,13 @@ def test_an_outage_is_told_with_its_length(log):
     assert "carries" not in told[0].text
 
 
+def test_an_interface_that_goes_ends_no_outage(log):
+    """What was silent before cannot be known to carry again."""
+    assert kinds(log.tick(state=LinkState.OUTAGE)) == [Condition.OUTAGE]
+    assert kinds(log.tick(counters=counters(InterfaceState.DOWN))) == [Condition.INTERFACE_DOWN]
+    assert kinds(log.tick(counters=counters(), state=LinkState.STEADY)) == [Condition.OUTAGE, Condition.INTERFACE_DOWN]
+
+
 # -- rates
 
 FULL = slowed(camera=30.0, front=20.0, rear=20.0, imu=100.0)

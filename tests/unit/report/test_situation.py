@@ -150,6 +150,15 @@ def test_a_peer_that_was_there_is_missed_until_one_reports():
     assert Condition.PEER_LOST not in findings(changed(observation={"peer_ages_s": {}}))
 
 
+def test_a_daemon_that_stands_by_knows_of_no_outage():
+    """No peer answers it, because it asks nothing, so it misses none either."""
+    silence = {"peer_ages_s": {"base": 30.0}, "active_daemon": "robot-2"}
+    spare = findings(held(changed(link={"state": LinkState.OUTAGE}, observation=silence)))
+    assert Condition.STANDING_BY in spare
+    assert Condition.OUTAGE not in spare
+    assert Condition.PEER_LOST not in spare
+
+
 def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
     """A daemon that stands by says so instead of link and plan, and hides no fault."""
     spare = status_line(changed(observation={"active_daemon": "robot-2"}, config_error="a.yaml:1:1: x"))

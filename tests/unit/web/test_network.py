@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import pytest
 
 from arpd.cli.main import main
-from arpd.web import server
+from arpd.web import access, server
 from arpd.web.server import MAX_CONNECTIONS
 from tests.unit.web_world import HASH, PASSWORD, make_certificate, running, trusting
 
@@ -121,7 +121,9 @@ def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkey
         monkeypatch.delenv("ARPD_PASSWORD")
         assert main(["status", "--user", "alice"]) == 2
         assert status(world, "--cacert", str(folder / "no.crt"))[0] == 2
-        assert main(["status", "--url", world.server.url.replace("https", "http")]) == 3
+        in_clear = SimpleNamespace(server=SimpleNamespace(url=world.server.url.replace("https", "http")))
+        code, _, err = status(in_clear)
+        assert (code, "write https://" in err) == (3, True)
 
 
 def test_status_gives_its_password_to_nobody_else(folder, status):
@@ -195,6 +197,17 @@ def test_a_page_of_another_name_reads_nothing(folder, host, status):
     """A browser that a foreign name has led to this computer (DNS rebinding) is refused by the Host header."""
     with running(folder) as world:
         assert world.get("/api/v1/history", Host=host).status == status
+
+
+def test_a_computer_with_a_whole_name_answers_to_its_parts(monkeypatch):
+    """Where the host name has a domain, mDNS and people still use the first part of it."""
+    monkeypatch.setattr(socket, "gethostname", lambda: "Robot.example.com")
+    access._own_names.cache_clear()
+    try:
+        own = ("robot", "robot.local:9464", "robot.example.com", "robot.rebound.example")
+        assert [access.is_own_name(name, "0.0.0.0") for name in own] == [True, True, True, False]
+    finally:
+        access._own_names.cache_clear()
 
 
 @pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])

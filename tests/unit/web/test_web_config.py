@@ -164,6 +164,21 @@ def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
     assert access.is_good() == 1
 
 
+def test_a_certificate_that_vanishes_while_it_is_read_is_read_later(access, monkeypatch):
+    """A renewal in that moment ends neither the server nor the protection."""
+
+    def vanish(*_arguments, **_options):
+        raise FileNotFoundError("server.crt")
+
+    access.path.write_text(f"{TLS}}}\nbasic_auth_users: {{bob: {HASH}}}")
+    with monkeypatch.context() as patched:
+        patched.setattr(ssl.SSLContext, "load_cert_chain", vanish)
+        assert not access.follow()
+    access.clock.now_s += 100.0
+    assert access.follow()
+    assert set(access.access.protection.users) == {b"bob"}
+
+
 @pytest.mark.parametrize(
     "text", [f"basic_auth_users: {{bob: {HASH}}}", f"basic_auth_users: {{alice: {HASH}}}", f"{TLS}}}", ""]
 )
