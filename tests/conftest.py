@@ -12,7 +12,6 @@ import pytest
 
 from tests import examples, waiting
 from tests.golden.sample import make_snapshot
-from tests.messages.generate import make_importable, obstacle
 from tests.network import own_network
 
 examples.register()
@@ -61,20 +60,6 @@ def _of_prometheus(program):
     if found.returncode != 0:
         pytest.skip(f"{program} is not installed: {found.stderr.strip()}")
     return found.stdout.strip()
-
-
-@pytest.fixture(scope="session")
-def tf_message():
-    """Return the class tf2_msgs/msg/TFMessage.
-
-    Another process imports it with `tests.messages.generate.environment`.
-    """
-    if why := obstacle("tf2_msgs"):
-        pytest.skip(why)
-    make_importable("tf2_msgs")
-    from tf2_msgs.msg import TFMessage
-
-    return TFMessage
 
 
 def pytest_runtest_setup():

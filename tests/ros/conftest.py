@@ -29,6 +29,13 @@ class Ros:
         self._stack.enter_context(spinning(chosen))
         return node
 
+    def elsewhere(self, domain=DOMAIN):
+        """Return a maker of nodes in a participant of its own, as another process has."""
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        self._stack.callback(rclpy.try_shutdown, context=context)
+        return Ros(context, self._stack)
+
 
 @pytest.fixture
 def ros(monkeypatch):

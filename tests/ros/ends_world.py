@@ -9,8 +9,13 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-import rclpy
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import String, UInt8MultiArray
 
+from arpd.relay.envelope import wrap
+from arpd.relay.offers import EndState, decode_state, encode_state
+from arpd.relay.signs import Sign, encode_sign
+from arpd.ros.graph_view import GraphView
 from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
 
@@ -73,10 +78,7 @@ class TwoEnds:
         return self._side(LINK)
 
     def _side(self, domain):
-        context = rclpy.Context()
-        rclpy.init(context=context, domain_id=domain)
-        self.nodes.callback(rclpy.try_shutdown, context=context)
-        return Ros(context, self.nodes)
+        return Ros(None, self.nodes).elsewhere(domain)
 
     def _listen(self, end):
         address = f"\0arpd-test-{os.getpid()}-{end}-{len(self.processes)}-{os.urandom(4).hex()}"
@@ -93,6 +95,43 @@ class TwoEnds:
 
         threading.Thread(target=listen, daemon=True).start()
         return "@" + address[1:]
+
+
+class Stranger:
+    """Stands for the base computer's end in the domain of the link, with a state that the test says."""
+
+    session = 1
+
+    def __init__(self, node, **state):
+        self.node = node
+        self._told = listen(node, "/arpd/relay/robot", latched(1), UInt8MultiArray)
+        self._signs = node.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
+        self._states = node.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
+        link_gids = GraphView.of(node).own.participant.hex()
+        told = EndState(session=f"{self.session:016x}", serial=1, link_gids=link_gids, **state)
+        self._states.publish(wrap(encode_state(told)))
+
+    @property
+    def offered(self):
+        """What the robot's end has told last, None before that."""
+        return decode_state(bytes(self._told[-1])) if self._told else None
+
+    def live(self):
+        """Send a sign of life."""
+        self._signs.publish(wrap(encode_sign(Sign(self.session))))
+
+
+RELIABLE = QoSProfile(depth=1000)
+
+
+def latched(depth):
+    return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def listen(node, topic, qos=RELIABLE, msg_type=String):
+    received = []
+    node.create_subscription(msg_type, topic, lambda message: received.append(message.data), qos)
+    return received
 
 
 class Counter:

@@ -1,6 +1,7 @@
 """The plan for all nodes, as `arpd run` sends it."""
 
 from array import array
+from dataclasses import replace
 
 from std_msgs.msg import UInt8MultiArray
 
@@ -27,3 +28,8 @@ class Plans:
             plan = unpack(data, most_bytes=2**20)
             data = pack({**plan, "rows": {**plan["rows"], **spoilt}})
         self._publisher.publish(UInt8MultiArray(data=array("B", data)))
+
+
+def retune(publisher, **changes):
+    """Change some settings of one publisher, as a plan does."""
+    publisher._shared._retune(publisher, replace(publisher.plan, **changes))

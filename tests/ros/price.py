@@ -7,6 +7,7 @@ from std_msgs.msg import Float64MultiArray
 from arpd.model.price import Price
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
+from tests.waiting import eventually
 
 FREE = Price(share_per_weight=math.inf, capacity_bytes_per_second=1e6)
 TERMS = {"weight": 1.0, "wire_bytes": 1000.0, "packets": 1}
@@ -33,6 +34,7 @@ class PriceSender:
     def handle(self):
         return self._publisher.handle
 
-    @property
-    def listeners(self):
-        return self._publisher.get_subscription_count()
+    def until(self, price, what, condition):
+        """Send a price again and again, because its topic is best effort, until a condition holds."""
+        eventually("somebody listens to the price", self._publisher.get_subscription_count)
+        eventually(what, lambda: self(price) or condition())

@@ -6,12 +6,8 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from scripts.netns.simlink import SimLink, available
 from tests.ros.domain import DOMAIN
-
-pytestmark = pytest.mark.ros
 
 HERE = Path(__file__).parent
 ENOUGH = 100

@@ -6,9 +6,6 @@ import time
 from dataclasses import replace
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from arpd.model.link import LinkState
@@ -19,25 +16,26 @@ from arpd.ros.graph_view import GraphView
 from arpd.ros.rmw import current_rmw
 from tests.golden.sample import changed
 
-pytestmark = pytest.mark.ros
-
 NAMES = ["arpd: link", "arpd: plan", "arpd: configuration", "arpd: events"]
 
 
 class Daemon:
-    """A daemon whose snapshots the test makes."""
+    """A daemon whose snapshots and ticks the test makes."""
 
-    def __init__(self):
+    def __init__(self, node):
         self._decision_log = DecisionLog()
-        self.snapshot = None
+        self.node, self.now_s, self.snapshot = node, 0.0, None
+        self.diagnostics = Diagnostics(node, lambda: self.snapshot, clock=lambda: self.now_s, host="robot-1")
 
-    def tick(self, **link):
+    def take(self, **link):
         """Take the sample with all traffic admitted, and another link where the test says so."""
-        # Of the future, so that it does not grow stale on a slow machine.
-        times = {"finished_at_s": time.monotonic() + 1000.0, "unix_time_s": time.time()}
-        snapshot = changed(link=link, decision={"gate": 1.0}, **times)
+        snapshot = changed(link=link, decision={"gate": 1.0}, finished_at_s=1e9, unix_time_s=time.time())
         self._decision_log.follow(snapshot)
         self.snapshot = replace(snapshot, events=self._decision_log.events)
+
+    def look(self, after_s=10.0):
+        self.now_s += after_s
+        self.diagnostics.look()
 
 
 class Monitor:
@@ -48,121 +46,70 @@ class Monitor:
         # diagnostic_aggregator subscribes with ROS's defaults: reliable, volatile.
         node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self.arrays.append, 10)
 
-    def statuses(self):
-        return {status.name: status for status in self.arrays[-1].status} if self.arrays else {}
-
-    def message(self, name):
-        return self.statuses()[name].message if name in self.statuses() else ""
-
-    def events(self):
-        return [value.value for value in self.statuses()["arpd: events"].values]
+    def __getitem__(self, name):
+        """Return the last status of this name, an empty one if there is none."""
+        return next((status for status in self.arrays[-1].status if status.name == name), DiagnosticStatus())
 
 
 @pytest.fixture
-def daemon():
-    return Daemon()
-
-
-class Clock:
-    """A clock that can be stopped, so that nothing becomes due."""
-
-    def __init__(self):
-        self._stopped_s = None
-
-    def stop(self):
-        self._stopped_s = time.monotonic()
-
-    def __call__(self):
-        return self._stopped_s or time.monotonic()
+def daemon(ros):
+    return Daemon(ros.node("arpd"))
 
 
 @pytest.fixture
-def clock():
-    return Clock()
-
-
-@pytest.fixture
-def looking(background):
-    """Let diagnostics look again and again, as the daemon does after every tick."""
-
-    def look(diagnostics):
-        def work(stopping):
-            while not stopping.wait(0.1):
-                diagnostics.look()
-
-        background(work)
-
-    return look
-
-
-@pytest.fixture
-def monitor(ros, daemon, clock, looking):
-    looking(Diagnostics(ros.node("arpd"), lambda: daemon.snapshot, clock=clock, host="robot-1"))
-    return Monitor(ros.node("monitor"))
+def monitor(ros, daemon, eventually):
+    monitor = Monitor(ros.node("monitor"))
+    eventually("an array arrives", lambda: daemon.look() or monitor.arrays)
+    return monitor
 
 
 def test_a_monitor_sees_every_status(monitor, daemon, eventually):
     """An array has four statuses with names for an aggregator, levels, host, values and a stamp."""
-    eventually("an array arrives", monitor.statuses)
-    assert {status.level for status in monitor.statuses().values()} == {DiagnosticStatus.STALE}
-    daemon.tick()
-    eventually("the link is shown", lambda: "4 Mbit/s" in monitor.message("arpd: link"))
+    assert {status.level for status in monitor.arrays[-1].status} == {DiagnosticStatus.STALE}
+    daemon.take()
+    eventually("the link is shown", lambda: daemon.look() or "4 Mbit/s" in monitor["arpd: link"].message)
     array = monitor.arrays[-1]
     assert [status.name for status in array.status] == NAMES
     assert {status.hardware_id for status in array.status} == {"robot-1"}
-    assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.OK
+    assert monitor["arpd: link"].level == DiagnosticStatus.OK
     assert all(value.key and value.value for status in array.status[:2] for value in status.values)
     assert array.header.stamp.sec > 0
 
 
-def test_an_event_reaches_a_monitor_at_once(monitor, daemon, clock, eventually):
+def test_an_event_reaches_a_monitor_at_once(monitor, daemon, eventually):
     """An outage is published when it happens, also when nothing else is due."""
-    daemon.tick()
-    eventually("an array arrives", lambda: monitor.message("arpd: events"))
-    clock.stop()
-    daemon.tick(state=LinkState.OUTAGE)
-    eventually("the outage is shown", lambda: any("carries nothing" in event for event in monitor.events()))
-    assert monitor.statuses()["arpd: link"].level == DiagnosticStatus.ERROR
+    daemon.take()
+    events = "arpd: events"
+    eventually("the link is well", lambda: daemon.look() or monitor["arpd: link"].level == DiagnosticStatus.OK)
+    daemon.take(state=LinkState.OUTAGE)
+    daemon.look(after_s=0.0)
+    eventually("it is shown", lambda: any("carries nothing" in event.value for event in monitor[events].values))
+    assert monitor["arpd: link"].level == DiagnosticStatus.ERROR
 
 
-def test_nothing_is_made_without_a_subscriber(ros, daemon, looking, eventually, monkeypatch):
+def test_nothing_is_made_without_a_subscriber(ros, daemon, eventually, monkeypatch):
     """Arrays are published only once there is a subscriber."""
     published = []
-    node = ros.node("arpd")
-    real = node.create_publisher
-
-    def watched(*arguments, **options):
-        publisher = real(*arguments, **options)
-        monkeypatch.setattr(publisher, "publish", published.append, raising=False)
-        return publisher
-
-    monkeypatch.setattr(node, "create_publisher", watched)
-    looks = []
-    looking(Diagnostics(node, lambda: looks.append(1) or daemon.snapshot))
-    eventually("it has looked for longer than its period", lambda: len(looks) > 8)
+    monkeypatch.setattr(daemon.diagnostics._publisher, "publish", published.append, raising=False)
+    for _ in range(8):
+        daemon.look()
     assert not published
     Monitor(ros.node("monitor"))
-    eventually("it publishes", lambda: published)
+    eventually("it publishes", lambda: daemon.look() or published)
 
 
-def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(ros, caplog):
+def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(daemon, monkeypatch, caplog):
     """Whoever calls it goes on, and the fault is logged once."""
-
-    def broken():
-        raise RuntimeError("no picture")
-
-    diagnostics = Diagnostics(ros.node("arpd"), broken)
+    monkeypatch.setattr(daemon.diagnostics, "_snapshot", lambda: 1 / 0)
     for _ in range(3):
-        diagnostics.look()
+        daemon.look()
     assert sum("nothing is published on /diagnostics" in record.message for record in caplog.records) == 1
 
 
-def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, daemon, looking, eventually):
+def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, monitor, daemon, eventually):
     """The graph shows the robot's writers of /diagnostics without the daemon's."""
-    node = ros.node("arpd")
-    looking(Diagnostics(node, lambda: daemon.snapshot))
-    Monitor(ros.node("monitor"))
-    view = GraphView.of(node)
+    assert monitor.arrays
+    view = GraphView.of(daemon.node)
 
     def seen():
         view.look()

@@ -6,15 +6,10 @@ import socket
 from contextlib import ExitStack
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from std_msgs.msg import String
 from test_msgs.srv import BasicTypes
 
 from tests.ros.ends_world import TwoEnds
-
-pytestmark = pytest.mark.ros
 
 
 @pytest.fixture

@@ -3,9 +3,6 @@
 import math
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
@@ -14,7 +11,6 @@ from tests.ros.clock import SkippingClock
 from tests.ros.plans import Plans
 from tests.ros.price import TERMS, PriceSender, costing
 
-pytestmark = pytest.mark.ros
 TOPIC = "/leased"
 ROW = TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TERMS)
 LEASE_S = 60.0  # longer than a busy machine stops a process
@@ -48,19 +44,14 @@ def send_plan(ros, publisher, eventually):
 
 
 @pytest.fixture
-def send_price(ros, publisher, eventually):
+def send_price(ros, publisher):
     """Send the price of a rate and wait until it is in force."""
     send = PriceSender(ros.node("governor"))
-    eventually("somebody listens to the price", lambda: send.listeners)
 
-    def until_in_force(rate_hz):
-        def is_in_force():
-            send(costing(rate_hz))  # again and again, because its topic is best effort
-            return publisher.state().paced_rate_hz == pytest.approx(rate_hz)
+    def is_at(rate_hz):
+        return lambda: publisher.state().paced_rate_hz == pytest.approx(rate_hz)
 
-        eventually("the price is in force", is_in_force)
-
-    return until_in_force
+    return lambda rate_hz: send.until(costing(rate_hz), "the price is in force", is_at(rate_hz))
 
 
 def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(clock, publisher, send_plan, send_price, eventually):

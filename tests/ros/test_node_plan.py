@@ -1,9 +1,6 @@
 """A node takes plans from a daemon's messages, whole or not at all, with real rclpy."""
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
@@ -13,7 +10,6 @@ from tests.ros.announced import Announced
 from tests.ros.plans import Plans
 from tests.ros.price import TERMS
 
-pytestmark = pytest.mark.ros
 A, B = "/a", "/b"
 ROW = TopicPlan(rate_hz=50.0, min_rate_hz=1.0, deadline_ns=10**8, depth=40, **TERMS)
 
@@ -80,8 +76,6 @@ def test_a_node_that_starts_later_finds_its_plan(ros, send, answers, eventually)
     ("row", "reason"),
     [
         ([0, 0, 1.0, 0.0, 1.0, 9.0, 1], "/a: depth = '0' is no integer from 1 to 5000"),
-        ([9, -1, 1.0, 0.0, 1.0, 9.0, 1], "/a: deadline_ns = '-1' is no integer"),
-        ([9, 0, 1.0, 0.0, 1e9, 9.0, 1], "/a: weight = '1000000000.0' is no number"),
         ([9, 0, 1.0], "/a: '[9, 0, 1.0]' has not the numbers depth, deadline_ns,"),
     ],
 )

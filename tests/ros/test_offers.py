@@ -3,21 +3,17 @@
 import math
 import threading
 import time
-from dataclasses import replace
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.model.endpoints import Overflow
 from tests.ros.clock import SkippingClock
+from tests.ros.plans import retune
 from tests.ros.price import FREE, TERMS, costing
 from tests.waiting import PATIENCE_S
 
-pytestmark = pytest.mark.ros
 LONG_S = 10.0  # a write of this length is remembered for 200 s
 
 
@@ -48,10 +44,6 @@ class Writer:
         self.threads.append(threading.current_thread())
         self.written.append(sample)
         self._act()
-
-
-def state(publisher):
-    return publisher.state()
 
 
 def test_who_serves_many_topics_waits_for_no_second_write_that_blocks(make, clock, monkeypatch, eventually):
@@ -101,19 +93,19 @@ def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually,
     publisher = make()
     writer = Writer(publisher, monkeypatch)
     samples = [b"%d" % number for number in range(20)]
-    publisher.retune(replace(publisher.plan, rate_hz=40.0, **TERMS))
+    retune(publisher, rate_hz=40.0, **TERMS)
     for sample in samples:
         publisher.pass_on(sample)
     eventually("all samples leave in order", lambda: writer.written == samples)
     if loosen == "rate":
-        publisher.retune(replace(publisher.plan, rate_hz=0.001))
+        retune(publisher, rate_hz=0.001)
     else:
         publisher.set_price(costing(0.001))
     for sample in samples:
         publisher.pass_on(sample)
-    assert state(publisher).queued > 0
+    assert publisher.state().queued > 0
     if loosen == "rate":
-        publisher.retune(replace(publisher.plan, rate_hz=math.inf))
+        retune(publisher, rate_hz=math.inf)
     else:
         publisher.set_price(FREE)
     eventually("all samples leave again", lambda: writer.written == 2 * samples)

@@ -7,9 +7,6 @@ import time
 from itertools import count
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
@@ -24,7 +21,6 @@ from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.world import RosControl
 from tests.ros.domain import DOMAIN
 
-pytestmark = pytest.mark.ros
 SIZE = 1200
 BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 

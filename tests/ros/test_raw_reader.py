@@ -5,15 +5,10 @@ import threading
 import time
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd.ros.raw_reader import RawReader, ReadingThread
-
-pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
@@ -23,13 +18,33 @@ def thread():
     thread.stop()
 
 
+@pytest.fixture
+def connect(ros, thread, eventually):
+    """Make a reader, and a publisher that it matches."""
+    node = ros.node("raw_reader_check")
+    readers = []
+
+    def connect(deliver, topic="/raw_reader_check", by=thread):
+        qos = QoSProfile(depth=1000)
+        reader = RawReader(node, String, topic, qos, deliver=deliver, thread=by)
+        readers.append(reader)
+        publisher = ros.node("talker").create_publisher(String, topic, qos)
+        eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+        return reader, publisher
+
+    yield connect
+    for reader in readers:
+        if not reader._is_destroyed:
+            reader.destroy()
+
+
 def test_a_thread_without_samples_finishes_rounds(thread, eventually):
     """A thread that has nothing to take finishes a round every second."""
     begun_s = thread.finished_s
     eventually("the thread finishes a round", lambda: thread.finished_s > begun_s)
 
 
-def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
+def test_the_watchdogs_time_runs_for_one_sample_alone(connect, thread, eventually):
     """A sample whose function blocks finishes no round; each one after it does, although more of them wait."""
     begun, gates = [], [threading.Event() for _ in range(3)]
 
@@ -37,11 +52,8 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
         begun.append(thread.finished_s)
         gates[len(begun) - 1].wait()
 
-    node = ros.node("raw_reader_check")
-    reader = RawReader(node, String, "/raw_reader_check", QoSProfile(depth=10), deliver=deliver, thread=thread)
-    publisher = node.create_publisher(String, "/raw_reader_check", 10)
+    _, publisher = connect(deliver)
     try:
-        eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
         for _ in gates:
             publisher.publish(String(data="x"))
         for number, gate in enumerate(gates, 1):
@@ -53,21 +65,18 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(ros, thread, eventually):
     finally:
         for gate in gates:
             gate.set()
-        reader.destroy()
 
 
-def test_an_event_stays_open_while_the_thread_may_still_read_it(ros, thread, eventually):
+def test_an_event_stays_open_while_the_thread_may_still_read_it(connect, eventually):
     """The descriptor of a destroyed reader goes to nobody before the thread has finished its round."""
-    node, is_busy, gate = ros.node("raw_reader_check"), threading.Event(), threading.Event()
+    is_busy, gate = threading.Event(), threading.Event()
 
     def deliver(_sample):
         is_busy.set()
         gate.wait()
 
-    reader = RawReader(node, String, "/busy", QoSProfile(depth=10), deliver=deliver, thread=thread)
-    other = RawReader(node, String, "/other", QoSProfile(depth=10), deliver=deliver, thread=thread)
-    publisher = node.create_publisher(String, "/busy", 10)
-    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    _, publisher = connect(deliver, "/busy")
+    other, _ = connect(deliver, "/other")
     publisher.publish(String(data="x"))
     try:
         eventually("the thread is busy", is_busy.is_set)
@@ -78,15 +87,12 @@ def test_an_event_stays_open_while_the_thread_may_still_read_it(ros, thread, eve
         gate.set()
     eventually("it is closed", lambda: not os.path.lexists(f"/proc/self/fd/{other._event}"))
     os.close(new)
-    reader.destroy()
 
 
-def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread, eventually, monkeypatch):
+def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(connect, thread, eventually, monkeypatch):
     """When the middleware does not let go of a sample, its reader is replaced, and later samples arrive, each once."""
-    taken, node = [], ros.node("raw_reader_check")
-    reader = RawReader(node, String, "/stuck", QoSProfile(depth=10), deliver=taken.append, thread=thread)
-    publisher = ros.node("talker").create_publisher(String, "/stuck", 10)
-    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    taken = []
+    reader, publisher = connect(taken.append)
     publisher.publish(String(data="one"))
     eventually("the first sample arrives", lambda: len(taken) == 1)
     before = reader.handle
@@ -107,7 +113,6 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(ros, thread
     publisher.publish(String(data="three"))
     eventually("the third sample arrives", lambda: taken[-1].data.endswith(b"three\0"))
     assert len({sample.sequence for sample in taken}) == len(taken)
-    reader.destroy()
 
 
 class Gate(ReadingThread):
@@ -131,15 +136,10 @@ def gate():
     gate.stop()
 
 
-def test_a_flood_of_one_topic_delays_no_other(ros, gate, eventually):
+def test_a_flood_of_one_topic_delays_no_other(gate, connect, eventually):
     """What waits on one topic is read in turns with the others."""
-    node, order = ros.node("raw_reader_check"), []
-    flood, calm = (
-        RawReader(node, String, topic, QoSProfile(depth=1000), deliver=order.append, thread=gate)
-        for topic in ("/flood", "/calm")
-    )
-    talkers = [node.create_publisher(String, topic, 1000) for topic in ("/flood", "/calm")]
-    eventually("the readers match", lambda: all(talker.get_subscription_count() == 1 for talker in talkers))
+    order = []
+    talkers = [connect(order.append, topic, by=gate)[1] for topic in ("/flood", "/calm")]
     gate.opened.clear()
     for _ in range(500):
         talkers[0].publish(String(data="flood"))
@@ -148,18 +148,13 @@ def test_a_flood_of_one_topic_delays_no_other(ros, gate, eventually):
     gate.opened.set()
     eventually("all arrive", lambda: len(order) == 501)
     assert [b"calm" in sample.data for sample in order].index(True) <= 64
-    flood.destroy()
-    calm.destroy()
 
 
-def test_a_sample_has_the_times_when_it_left_and_arrived(ros, thread, eventually):
+def test_a_sample_has_the_times_when_it_left_and_arrived(connect, eventually):
     """Both are of this computer's clock."""
-    node, taken = ros.node("raw_reader_check"), []
-    reader = RawReader(node, String, "/timed", QoSProfile(depth=10), deliver=taken.append, thread=thread)
-    publisher = node.create_publisher(String, "/timed", 10)
-    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    taken = []
+    _, publisher = connect(taken.append)
     begun_ns = time.time_ns()
     publisher.publish(String(data="short"))
     (sample,) = eventually("it arrives", lambda: taken)
     assert begun_ns <= sample.sent_ns <= sample.received_ns <= time.time_ns()
-    reader.destroy()

@@ -5,10 +5,6 @@ import time
 from contextlib import ExitStack, closing
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-import rclpy
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
@@ -19,10 +15,7 @@ from arpd.relay.ends.prefix import Prefixed
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
-from tests.ros.domain import DOMAIN
 from tests.ros.ends_world import is_whole, numbers
-
-pytestmark = pytest.mark.ros
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -82,16 +75,8 @@ def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually)
 
 @pytest.fixture
 def elsewhere(ros):
-    """Make a node in its own participant, as in its own process: within one participant a topic has one type."""
-    with ExitStack() as stack:
-
-        def node(name, **options):
-            context = rclpy.Context()
-            rclpy.init(context=context, domain_id=DOMAIN)
-            stack.callback(rclpy.try_shutdown, context=context)
-            return type(ros)(context, stack).node(name, **options)
-
-        yield node
+    """Make a node in its own participant: within one participant a topic has one type."""
+    return lambda name, **options: ros.elsewhere().node(name, **options)
 
 
 class Numbers:
@@ -156,19 +141,6 @@ def test_a_writer_keeps_its_number_and_leaves_it_half_a_minute_after_it_left():
     assert (numbers_at(131.0, second, nameless), surveyed.is_waiting) == ([1], True)
     assert (numbers_at(133.0, second, nameless), surveyed.is_waiting) == ([1, 0], False)
     assert numbers_at(134.0, nameless) == [0]
-
-
-def test_a_topic_that_returns_with_another_type_is_carried_with_it(elsewhere, lines, carry, background, eventually):
-    """The next source may publish another type; a type that is not installed is named."""
-    carry(elsewhere("relay"), RelaySettings(topics=(RelayTopic(name="/chatter"),)))
-    first = elsewhere("first")
-    talker = first.create_publisher(Empty, "/chatter", 10)
-    eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
-    first.destroy_publisher(talker)
-    second = Numbers(elsewhere("second").create_publisher(String, "/chatter", 10), "second")
-    background(second.talk)
-    received = listen(elsewhere("far"), "/link/chatter")
-    eventually("the other type arrives", lambda: len(received) > 5)
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, background, eventually):

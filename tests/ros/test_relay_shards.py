@@ -12,10 +12,6 @@ from contextlib import ExitStack, closing
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-import rclpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -25,8 +21,6 @@ from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.prefix import Prefixed
 from tests.ros.domain import DOMAIN
 from tests.waiting import PATIENCE_S
-
-pytestmark = pytest.mark.ros
 
 TOPICS = tuple(f"/t{k}" for k in range(110))
 NODES = ("/big_relay", "/big_relay_2")
@@ -137,10 +131,8 @@ def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatc
 def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monkeypatch, eventually):
     """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    elsewhere = rclpy.Context()  # a relay carries what other processes publish
-    rclpy.init(context=elsewhere, domain_id=DOMAIN)
-    stack.callback(rclpy.try_shutdown, context=elsewhere)
-    source, far, heard = rclpy.create_node("source", context=elsewhere), ros.node("far"), set()
+    # A relay carries what other processes publish.
+    source, far, heard = ros.elsewhere().node("source"), ros.node("far"), set()
     publishers = [source.create_publisher(kind, topic, 10) for kind, topic in ((Image, "/image"), (String, "/chatter"))]
     for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)

@@ -12,12 +12,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from tests.ros.domain import DOMAIN
 from tests.waiting import PATIENCE_S
 
-pytestmark = pytest.mark.ros
 REPO = Path(__file__).parents[2]
 
 

@@ -5,7 +5,6 @@ and cannot test the enforcement.
 """
 
 import json
-import os
 import subprocess
 import sys
 from fnmatch import fnmatchcase
@@ -13,9 +12,6 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
@@ -26,7 +22,6 @@ from scripts.bench.child import spinning
 from tests.ros.domain import DOMAIN
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.ros
 REPO = Path(__file__).resolve().parents[2]
 POLICY = REPO / "etc/sros2/arpd.policy.xml"
 MANAGED = REPO / "etc/sros2/managed.xml"
@@ -205,25 +200,3 @@ def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
     profile = ET.Element("profile", ns="/", node="driver")
     profile.extend([*included(NODE), *included(MANAGED)])
     assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC)}
-
-
-def test_enforce_without_a_keystore_starts_nothing(tmp_path):
-    """Under ROS_SECURITY_STRATEGY=Enforce a process without keys ends."""
-    secured = {
-        "ROS_SECURITY_ENABLE": "true",
-        "ROS_SECURITY_STRATEGY": "Enforce",
-        "ROS_SECURITY_KEYSTORE": str(tmp_path),
-        "ROS_SECURITY_ENCLAVE_OVERRIDE": "/arpd/peer",
-    }
-    ended = subprocess.run(
-        [sys.executable, "-m", "arpd.cli", "peer", "--interface", "lo"],
-        env={**os.environ, **secured},
-        cwd=REPO,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert ended.returncode == 69
-    assert "SECURITY ERROR" in ended.stderr
-    assert len(ended.stderr.splitlines()) == 1

@@ -4,27 +4,21 @@ from copy import copy
 from dataclasses import replace
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.parameter import Parameter
 from rclpy.qos import (
     QoSDurabilityPolicy,
     QoSLivelinessPolicy,
-    QoSPolicyKind,
     QoSProfile,
     QoSReliabilityPolicy,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.endpoint.writer_swap import SwapTiming
+from tests.ros.plans import retune
 from tests.ros.price import FREE
 
-pytestmark = pytest.mark.ros
 TOPIC = "/kept"
 LATCHED = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -35,14 +29,6 @@ QUICK = SwapTiming(settle_s=0.1, drain_s=60.0)
 
 def make(node, qos, **options):
     return AdaptivePublisher(node, String, TOPIC, qos, swap_timing=QUICK, **options)
-
-
-def state(publisher):
-    return publisher.state()
-
-
-def retune(publisher, **changes):
-    publisher.retune(replace(publisher.plan, **changes))
 
 
 def is_idle(publisher):
@@ -86,7 +72,7 @@ def test_a_reader_that_would_be_lost_undoes_the_swap(ros, monkeypatch, eventuall
     """A reader that refuses the new writer's deadline is named, and still receives messages."""
     publisher = make(ros.node("talker"), 10)
     retune(publisher, deadline_ns=100_000_000)
-    eventually("the deadline is offered", lambda: state(publisher).deadline_ns == 100_000_000)
+    eventually("the deadline is offered", lambda: publisher.state().deadline_ns == 100_000_000)
     received = []
     demanding = QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000_000))
     ros.node("demanding").create_subscription(String, TOPIC, received.append, demanding)
@@ -95,11 +81,11 @@ def test_a_reader_that_would_be_lost_undoes_the_swap(ros, monkeypatch, eventuall
     # As if it had joined after the clamp read the graph.
     monkeypatch.setattr(publisher._requests, "tightest_ns", lambda: 0)
     retune(publisher, deadline_ns=900_000_000)
-    refusal = eventually("the swap is refused", lambda: state(publisher).refusal)
+    refusal = eventually("the swap is refused", lambda: publisher.state().refusal)
     assert "DEADLINE" in refusal
     assert "/demanding requests 500000000 ns" in refusal
-    assert state(publisher).swaps_by_result["incompatible"] == 1
-    assert state(publisher).deadline_ns == 100_000_000
+    assert publisher.state().swaps_by_result["incompatible"] == 1
+    assert publisher.state().deadline_ns == 100_000_000
     publisher.publish(String(data="still there"))
     eventually("the reader still receives", lambda: received)
 
@@ -115,7 +101,7 @@ def test_a_reader_that_was_never_served_does_not_stop_a_swap(ros, eventually):
     eventually("the other one refuses", lambda: publisher._writer.refusals() == 1)
     assert publisher._writer.refused_policy == "DURABILITY"
     retune(publisher, depth=30)
-    eventually("the new depth is in force", lambda: state(publisher).depth == 30)
+    eventually("the new depth is in force", lambda: publisher.state().depth == 30)
     eventually("the swap ends", lambda: is_idle(publisher))
     publisher.publish(String(data="x"))
     eventually("the served reader receives", lambda: served)
@@ -140,7 +126,7 @@ def test_the_application_does_not_hear_of_the_second_writer(ros, eventually):
     eventually("the first reader is heard of", lambda: events.matched)
     for depth in (20, 30):
         retune(publisher, depth=depth)
-        eventually("the new depth is in force", lambda depth=depth: state(publisher).depth == depth)
+        eventually("the new depth is in force", lambda depth=depth: publisher.state().depth == depth)
     eventually("the last swap ends", lambda: is_idle(publisher))
     ros.node("second").create_subscription(String, TOPIC, lambda _message: None, 10)
     eventually("the second reader is heard of", lambda: len(events.matched) > 1)
@@ -159,19 +145,19 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     old, asked = publisher._writer, []
     monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains
     monkeypatch.setattr(old, "_is_current", lambda writer: asked.append(old is not publisher._writer) or not asked[-1])
-    before = state(publisher).deadlines_missed
+    before = publisher.state().deadlines_missed
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
     # It still misses a deadline five times a second; its callbacks are called, and stay silent.
     eventually("the retired writer misses a deadline", lambda: any(asked))
-    missed, counted, denied = len(events.missed), state(publisher).deadlines_missed, asked.count(True)
+    missed, counted, denied = len(events.missed), publisher.state().deadlines_missed, asked.count(True)
     assert counted >= before > 0
     eventually("it misses more", lambda: asked.count(True) > denied + 1)
-    assert (len(events.missed), state(publisher).deadlines_missed) == (missed, counted)
+    assert (len(events.missed), publisher.state().deadlines_missed) == (missed, counted)
     retune(publisher, deadline_ns=100_000_000)
-    eventually("the deadline is in force", lambda: state(publisher).deadline_ns == 100_000_000)
+    eventually("the deadline is in force", lambda: publisher.state().deadline_ns == 100_000_000)
     publisher.publish(String(data="1"))
     eventually("the new writer misses deadlines", lambda: len(events.missed) > missed)
-    assert state(publisher).deadlines_missed > counted
+    assert publisher.state().deadlines_missed > counted
 
 
 def test_deadlines_are_counted_without_anybody_listening(ros, eventually):
@@ -179,7 +165,7 @@ def test_deadlines_are_counted_without_anybody_listening(ros, eventually):
     profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
     publisher = make(ros.node("talker"), profile)
     publisher.publish(String(data="0"))
-    eventually("three deadlines are missed", lambda: state(publisher).deadlines_missed >= 3)
+    eventually("three deadlines are missed", lambda: publisher.state().deadlines_missed >= 3)
 
 
 def test_a_latched_topic_swaps_when_the_application_says_so(ros, eventually):
@@ -188,46 +174,14 @@ def test_a_latched_topic_swaps_when_the_application_says_so(ros, eventually):
     for number in range(5):
         publisher.publish(String(data=str(number)))
     retune(publisher, depth=8)
-    eventually("the swap ends", lambda: state(publisher).depth == 8 and is_idle(publisher))
+    eventually("the swap ends", lambda: publisher.state().depth == 8 and is_idle(publisher))
     publisher.publish(String(data="5"))
     received = []
     late = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     ros.node("late").create_subscription(String, TOPIC, lambda message: received.append(message.data), late)
     eventually("the last sample arrives", lambda: "5" in received)
     assert received == ["2", "3", "4", "5"]
-    assert state(publisher).published == 6, "replayed samples do not count again"
-
-
-def test_a_volatile_topic_is_never_replayed(ros, eventually):
-    """On a volatile topic swap_transient_local doubles nothing."""
-    publisher = make(ros.node("talker"), 10, swap_transient_local=True)
-    received = []
-    reader = ros.node("reader").create_subscription(String, TOPIC, lambda message: received.append(message.data), 10)
-    eventually("both sides match", lambda: publisher.get_subscription_count() == 1 == reader.get_publisher_count())
-    publisher.publish(String(data="0"))
-    retune(publisher, depth=20)
-    eventually("the new depth is in force", lambda: state(publisher).depth == 20)
-    publisher.publish(String(data="1"))
-    eventually("the last sample arrives", lambda: "1" in received)
-    assert received == ["0", "1"]
-
-
-def test_overriding_options_work_as_in_rclpy(ros, eventually):
-    """Parameters override other policies at the start, too, and a plan changes the depth that they gave."""
-    overrides = [
-        Parameter(f"qos_overrides.{TOPIC}.publisher.reliability", value="best_effort"),
-        Parameter(f"qos_overrides.{TOPIC}.publisher.depth", value=40),
-    ]
-    node = ros.node("talker", parameter_overrides=overrides)
-    options = QoSOverridingOptions([QoSPolicyKind.RELIABILITY, QoSPolicyKind.DEPTH])
-    publisher = make(node, 10, qos_overriding_options=options)
-    assert state(publisher).depth == 40
-    assert publisher.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
-    retune(publisher, depth=50)
-    eventually("the new depth is in force", lambda: state(publisher).depth == 50)
-    watcher = ros.node("watcher")
-    wanted = [QoSReliabilityPolicy.BEST_EFFORT]
-    eventually("the override is offered", lambda: [qos.reliability for qos in offered_qos(watcher)] == wanted)
+    assert publisher.state().published == 6, "replayed samples do not count again"
 
 
 @pytest.mark.parametrize(

@@ -7,42 +7,26 @@ from contextlib import ExitStack
 from itertools import count
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-from rclpy.action import ActionClient, ActionServer
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float64, String, UInt8MultiArray
-from test_msgs.action import Fibonacci
-from test_msgs.srv import BasicTypes
 
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
-from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, wrap
-from arpd.relay.offers import EndState, TopicOffer, WriterOffer, decode_state, encode_state
-from arpd.ros.graph_view import GraphView
+from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack
+from arpd.relay.offers import ServiceOffer, TopicOffer, WriterOffer, decode_state
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
-from tests.ros.ends_world import ROBOT, Counter, TwoEnds, is_whole, numbers
+from tests.ros.ends_world import RELIABLE, ROBOT, Counter, Stranger, TwoEnds, is_whole, latched, listen, numbers
 from tests.ros.plans import Plans
 from tests.ros.price import TERMS
 from tests.waiting import eventually as insist
 
-pytestmark = pytest.mark.ros
-
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-RELIABLE = QoSProfile(depth=1000)
-
-
-def latched(depth):
-    return QoSProfile(depth=depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-
-
 # A machine that is busy for a quarter of a second holds the link up, and of other topics the newest sample is kept.
 ORDERED = ("topics:", *(f"- {{name: {name}, overflow: queue}}" for name in ("/chatter", "/tf", "/mixed", "/planned")))
 
@@ -106,12 +90,6 @@ def talking(background):
         background(talk)
 
     return start
-
-
-def listen(node, topic, qos=RELIABLE, msg_type=String):
-    received = []
-    node.create_subscription(msg_type, topic, lambda message: received.append(message.data), qos)
-    return received
 
 
 def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(ends, talking, eventually):
@@ -318,14 +296,10 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
     listen(living, "/other", RELIABLE, UInt8MultiArray)
     heard = listen(living, "/arpd/relay/robot/small", RELIABLE, UInt8MultiArray)
-    states = living.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
-    signs = living.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
-    wants = frozenset({"/map", "/other"})
-    state = EndState(session="0" * 16, serial=1, wants=wants, link_gids=GraphView.of(living).own.participant.hex())
-    states.publish(wrap(encode_state(state)))
+    end = Stranger(living, wants=frozenset({"/map", "/other"}))
 
     def lives(condition):
-        signs.publish(wrap(b"0" * 16))
+        end.live()
         other.publish()
         return condition()
 
@@ -352,9 +326,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     """An end that speaks another version is named with both versions, and nothing crosses."""
     monkeypatch.setattr("arpd.relay.offers.VERSION", 9)
     ends = world().start("robot")
-    stranger = ends.link_side().node("stranger")
-    publisher = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
-    publisher.publish(wrap(encode_state(EndState(session="0" * 16, serial=1, arpd="9.9"))))
+    Stranger(ends.link_side().node("stranger"), arpd="9.9")
     words = "it speaks version 9 (arpd 9.9), this end version 5"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
@@ -362,7 +334,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
 def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, eventually):
     """A command that a stalled link holds for longer than its LIFESPAN never runs; without LIFESPAN the newest does."""
     ends = world().start("robot")
-    robot, stranger = ends.side("robot").node("motor"), ends.link_side().node("stranger")
+    robot = ends.side("robot").node("motor")
     lifespans_ns = {"/short": 200_000_000, "/endless": 0}
     topics = {
         name: TopicOffer(
@@ -372,12 +344,8 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
         )
         for name, lifespan_ns in lifespans_ns.items()
     }
-    link_gids = GraphView.of(stranger).own.participant.hex()
-    state = EndState(session="0" * 15 + "1", serial=1, topics=topics, link_gids=link_gids)
-    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
-    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
-    states.publish(wrap(encode_state(state)))
-    writers = {name: stranger.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
+    stranger = Stranger(ends.link_side().node("stranger"), topics=topics)
+    writers = {name: stranger.node.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
     heard = {name: listen(robot, name) for name in topics}
     chunks = count(1)
 
@@ -386,10 +354,14 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
             number = next(chunks)
             part = pack([Record(0, 0, number, bytes(serialize_message(String(data=text))))])
             departed_us = int((time.monotonic() - late_s) * 1e6) % WRAP
-            writer.publish(encode_chunk(Chunk(1, number, departed_us, number, 0, len(part), is_kept=False, part=part)))
+            writer.publish(
+                encode_chunk(
+                    Chunk(stranger.session, number, departed_us, number, 0, len(part), is_kept=False, part=part)
+                )
+            )
 
     def is_heard():
-        signs.publish(wrap(b"0" * 16))
+        stranger.live()
         send("fresh", 0.0)
         return all("fresh" in texts for texts in heard.values())
 
@@ -402,11 +374,11 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
 
 
 def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
-    """Of two topics of one type the one whose writers have another definition does not enter."""
-    ends = world().start("robot")
-    robot, stranger = ends.side("robot").node("sensor"), ends.link_side().node("stranger")
+    """Of two topics of one type that of another definition does not enter, nor does a service of an unknown type."""
+    ends = world("services: [/unknown]").start("robot")
+    robot, link = ends.side("robot").node("sensor"), ends.link_side()
     Counter(robot, String, "/chatter", RELIABLE)
-    told = listen(stranger, "/arpd/relay/robot", latched(1), UInt8MultiArray)
+    told = listen(link.node("watcher"), "/arpd/relay/robot", latched(1), UInt8MultiArray)
     offered = eventually("the end tells what it offers", lambda: told and decode_state(bytes(told[-1])).topics)
     same = offered["/chatter"].type_hash
     assert same.startswith("RIHS01_")
@@ -415,14 +387,13 @@ def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
         name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
     }
-    state = EndState(session="0" * 16, serial=1, topics=topics, link_gids=GraphView.of(stranger).own.participant.hex())
-    states = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
-    signs = stranger.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
-    states.publish(wrap(encode_state(state)))
+    services = {"/unknown": ServiceOffer(type_name="nowhere/srv/Thing", node="/planner")}
+    stranger = Stranger(link.node("stranger"), topics=topics, services=services)
 
     def is_refused():
-        signs.publish(wrap(b"0" * 16))
-        return "refused /other: std_msgs/msg/String has another definition here" in ends.status["robot"]
+        stranger.live()
+        words = "refused /other: std_msgs/msg/String has another definition here"
+        return words in ends.status["robot"] and ends.status["robot"].endswith("; also /unknown")
 
     eventually("the other definition is refused", is_refused)
     assert [robot.count_publishers(name) for name in topics] == [1, 0]
@@ -494,51 +465,6 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     common = min(map(len, stamps.values()))
     assert stamps[topics[0]][:common] == stamps[topics[1]][:common] == stamps[topics[2]][:common]
     assert all(number % 7 for number in stamps[topics[0]])
-
-
-def test_services_and_actions_are_called_across_the_link(world, eventually):
-    """Plain clients of services and actions call plain servers of the other side, in both directions."""
-    ends = world("services: [/add, /far/add]", "actions: [/count]").start()
-    robot, base = ends.side("robot"), ends.side("base")
-    server, planner = robot.node("server"), base.node("planner")
-
-    def add(request, response):
-        response.uint64_value = request.uint64_value + 1
-        return response
-
-    def count(goal):
-        for number in range(goal.request.order):
-            goal.publish_feedback(Fibonacci.Feedback(sequence=[number]))
-        goal.succeed()
-        return Fibonacci.Result(sequence=list(range(goal.request.order)))
-
-    server.create_service(BasicTypes, "/add", add)
-    planner.create_service(BasicTypes, "/far/add", add)
-    action_server = ActionServer(server, Fibonacci, "/count", count)
-    for node, name in ((planner, "/add"), (server, "/far/add")):
-        client = node.create_client(BasicTypes, name)
-        eventually("the service crosses", client.service_is_ready)
-        # A client keeps ten.
-        answers = [client.call_async(BasicTypes.Request(uint64_value=number)) for number in range(10)]
-        eventually("the calls are answered", lambda answers=answers: all(answer.done() for answer in answers))
-        assert [answer.result().uint64_value for answer in answers] == list(range(1, 11))
-    action = ActionClient(planner, Fibonacci, "/count")
-    eventually("the action crosses", action.server_is_ready)
-    eventually("its feedback is wanted", lambda: server.count_subscribers("/count/_action/feedback") == 1)
-    feedback = []
-    goal = action.send_goal_async(
-        Fibonacci.Goal(order=5), feedback_callback=lambda message: feedback.append(list(message.feedback.sequence))
-    )
-    eventually("the goal is taken", goal.done)
-    assert goal.result().accepted
-    result = goal.result().get_result_async()
-    eventually("the result arrives", result.done)
-    assert list(result.result().result.sequence) == [0, 1, 2, 3, 4]
-    eventually("feedback arrives", lambda: [4] in feedback)
-    action_server.destroy()
-    ends.end("robot")
-    client = planner.create_client(BasicTypes, "/add")
-    eventually("the service goes with the other end", lambda: not client.service_is_ready())
 
 
 def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually):
