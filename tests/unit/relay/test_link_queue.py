@@ -130,6 +130,23 @@ def test_a_large_message_is_not_torn_by_newer_ones_and_the_newest_follows():
     assert link.arrived["camera"] == [b"0" * LARGE, b"3" * LARGE]
 
 
+@pytest.mark.parametrize("capacity", [6e5, 5e7])
+def test_a_message_under_way_crosses_whole_though_chunks_grow(capacity):
+    """A link that rises lets a chunk hold more than a whole message; of one under way only the rest follows."""
+    link, slow = Link(), replace(price_of(1.0), capacity_bytes_per_second=6e5)
+    lane = link.lane("scan", replace(ROW, weight=1e-6), slow)
+    message = bytes(k % 251 for k in range(15_000))
+    link.offer("scan", message)
+    link.arrive("scan", assembly := Assembly(), link.queue.take(link.now_s).sample)
+    link.queue.retune(lane, ROW, replace(slow, capacity_bytes_per_second=capacity))
+    while not link.arrived["scan"]:
+        link.confirm_all()
+        link.now_s += 0.01
+        while (ready := link.queue.take(link.now_s)) is not None:
+            link.arrive("scan", assembly, ready.sample)
+    assert link.arrived["scan"] == [message]
+
+
 @pytest.mark.parametrize("price", [None, price_of(0.2)], ids=["no daemon", "daemon"])
 def test_large_topics_share_the_link_by_weight(price):
     """Of two that want all, one with twice the weight gets twice the link."""
