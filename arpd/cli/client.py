@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import ipaddress
 import json
-import logging
 import os
 import ssl
+import zlib
+from contextlib import suppress
 from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException, HTTPSConnection, InvalidURL
+from queue import Empty, SimpleQueue
+from socket import SHUT_RDWR
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import urlsplit
 
 from pydantic import ValidationError
 
-from arpd.cli.kept_connection import KeptConnection
-from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, plain_host
+from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
 from arpd.web.api.history import History
@@ -20,19 +27,18 @@ from arpd.web.api.status import Status
 
 if TYPE_CHECKING:
     import argparse
+    from http.client import HTTPResponse
     from pathlib import Path
 
 _DEADLINE_S = 3.0  # of a whole answer
 _MOST_BYTES = 16 * 2**20
 _LONGEST = 400  # characters of a text
 _LARGEST = 2**63  # counts beyond it are nonsense
-
-# Its warning about TLS would stand beside arpd's own error.
-logging.getLogger("tornado").addHandler(logging.NullHandler())
+_GZIP = 16 + zlib.MAX_WBITS
 
 
 class Daemon:
-    """A daemon that is asked, over one connection as long as it keeps that.
+    """A daemon that is asked without a proxy, over one connection as long as it keeps that.
 
     Parameters
     ----------
@@ -48,26 +54,30 @@ class Daemon:
 
     def __init__(self, url: str, *, cacert: Path | None = None, user: str = "", password: str = "") -> None:
         self.url, self._user = url, user
-        scheme = url.lower().partition("://")[0]
-        if scheme not in {"http", "https"}:
+        self._headers = {"User-Agent": "arpd", "Accept-Encoding": "gzip"}  # it may cross the link that arpd protects
+        if user:
+            login = base64.b64encode(f"{user}:{password}".encode()).decode()
+            self._headers["Authorization"] = f"Basic {login}"
+        host, scheme = host_of(url), url.lower().partition("://")[0]
+        if scheme not in {"http", "https"} or not host:
             raise UsageError(f"--url {url!r} is not an HTTP address; write it like {DEFAULT_URL}")
         try:
-            self._connection = KeptConnection(
-                url,
-                tls=_tls(cacert) if scheme == "https" else None,
-                user=user,
-                password=password,
-                deadline_s=_DEADLINE_S,
-                most_bytes=_MOST_BYTES,
-            )
-        except ValueError as error:
-            raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
+            parts = urlsplit(url)
+            self._path, port = parts.path.rstrip("/"), parts.port
+            if scheme == "https":
+                self._connection: HTTPConnection = HTTPSConnection(
+                    host, port or 443, timeout=_DEADLINE_S, context=_tls(cacert)
+                )
+            else:
+                self._connection = HTTPConnection(host, port or 80, timeout=_DEADLINE_S)
+        except (ValueError, InvalidURL) as error:
+            raise _no_address(url, error) from None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._connection.close()
+        self._hang_up()
 
     def document(self) -> dict[str, Any]:
         """Return the status document as it came; before the first tick it has `api_version` and `ready` only.
@@ -105,14 +115,16 @@ class Daemon:
     def _answer(self, path: str) -> tuple[int, bytes]:
         url = self.url
         try:
-            answer = self._connection.get(path)
-        except OSError as error:
+            answer, body = self._within_deadline(path)
+        except OSError as error:  # before ValueError: a certificate that is not trusted is both
             raise _no_answer(url, error) from None
-        except ValueError as error:
-            raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
-        code, body = answer.code, answer.body
+        except (ValueError, InvalidURL) as error:
+            raise _no_address(url, error) from None
+        except HTTPException as error:
+            raise _no_answer(url, error) from None
+        code = answer.status
         if HTTPStatus.MULTIPLE_CHOICES <= code < HTTPStatus.BAD_REQUEST:
-            where = printable(answer.headers.get("Location", ""), longest=200)
+            where = printable(answer.getheader("Location", ""), longest=200)
             why = f"{url} leads to {where}; write that in --url if it is the daemon"
         elif code == HTTPStatus.UNAUTHORIZED:
             wrong = f"refuses the password of {self._user}" if self._user else "asks for a user; give --user NAME"
@@ -124,6 +136,51 @@ class Daemon:
         else:
             return code, body  # a daemon that is not ready has its reason in the body of its 503
         raise DaemonUnreachableError(why)
+
+    def _within_deadline(self, path: str) -> tuple[HTTPResponse, bytes]:
+        """Ask in a thread: name server, handshake and answer have one deadline together, however slowly they come."""
+        came: SimpleQueue[tuple[HTTPResponse, bytes] | Exception] = SimpleQueue()
+
+        def ask() -> None:
+            try:
+                came.put(self._ask(path))
+            except Exception as error:  # noqa: BLE001 - raised where it was asked
+                came.put(error)
+
+        Thread(target=ask, daemon=True).start()
+        try:
+            answer = came.get(timeout=_DEADLINE_S)
+        except Empty:
+            answer = TimeoutError("timed out")
+        if isinstance(answer, Exception):
+            self._hang_up()  # the rest of this answer may still come
+            raise answer
+        return answer
+
+    def _ask(self, path: str) -> tuple[HTTPResponse, bytes]:
+        connection = self._connection
+        is_kept = connection.sock is not None
+        try:
+            connection.request("GET", self._path + path, headers=self._headers)
+            answer = connection.getresponse()
+        except ConnectionError:
+            if not is_kept:
+                raise
+            connection.close()  # the daemon has closed an idle connection
+            return self._ask(path)
+        body = answer.read(_MOST_BYTES + 1)
+        if len(body) > _MOST_BYTES:
+            raise ConnectionResetError("its answer is too long")
+        if answer.getheader("Content-Encoding") == "gzip":
+            with suppress(zlib.error):  # then it is no document either
+                body = zlib.decompressobj(_GZIP).decompress(body, _MOST_BYTES)
+        return answer, body
+
+    def _hang_up(self) -> None:
+        if (stream := self._connection.sock) is not None:
+            with suppress(OSError):
+                stream.shutdown(SHUT_RDWR)
+        self._connection.close()
 
 
 def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:
@@ -139,12 +196,23 @@ def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:
         raise UsageError(
             f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"
         )
-    if options.user and not options.password_in_clear and (host := plain_host(url)):
+    if options.user and not options.password_in_clear and (host := _plain_host(url)):
         raise UsageError(
             f"--user over http:// sends the password to {printable(host)} in clear; "
             f"write https:// in --url, or give {IN_CLEAR}"
         )
     return Daemon(url, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, ""))
+
+
+def _plain_host(url: str) -> str:
+    """Return the other computer to which a URL leads without TLS, empty for this one."""
+    host = host_of(url)
+    if url.lower().startswith("https:") or host == "localhost":
+        return ""
+    try:
+        return "" if ipaddress.ip_address(host).is_loopback else host
+    except ValueError:
+        return host
 
 
 def read_status(document: dict[str, Any], *, url: str) -> Status | None:
@@ -202,6 +270,10 @@ def _shown(part: Any) -> Any:
     return None if isinstance(part, (int, float)) and not -_LARGEST < part < _LARGEST else part
 
 
+def _no_address(url: str, error: Exception) -> UsageError:
+    return UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}")
+
+
 def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     if isinstance(error, ssl.SSLCertVerificationError):
         why = f"the certificate of {url} is not trusted ({error.verify_message}); name its CA with --cacert"
@@ -209,8 +281,9 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     if isinstance(error, ssl.SSLError):
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
         return DaemonUnreachableError(why)
-    if isinstance(error, ConnectionResetError) and url.lower().startswith("http:"):
-        why = f"no whole answer from {url} ({error}); if the daemon has TLS, write https:// in --url"
-        return DaemonUnreachableError(why)
+    if isinstance(error, HTTPException | ConnectionResetError):
+        wrong = error if isinstance(error, OSError) else "it speaks no HTTP, or its answer broke off"
+        hint = "" if url.lower().startswith("https:") else "; if the daemon has TLS, write https:// in --url"
+        return DaemonUnreachableError(f"no whole answer from {url} ({wrong}){hint}")
     hint = "is it running (systemctl status arpd), and is http.port the same?"
     return NoAnswerError(f"no daemon answers at {url} ({error}); {hint}", is_late=isinstance(error, TimeoutError))

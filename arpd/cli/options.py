@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urlsplit
@@ -60,17 +59,6 @@ def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) ->
 
     host = host_of(url)
     return host in {"localhost", "::1"} or (bool(host) and (is_own_address or kernel.is_own_address)(host))
-
-
-def plain_host(url: str) -> str:
-    """Return the other computer to which a URL leads without TLS, empty for this one."""
-    host = host_of(url)
-    if url.lower().startswith("https:") or host == "localhost":
-        return ""
-    try:
-        return "" if ipaddress.ip_address(host).is_loopback else host
-    except ValueError:
-        return host
 
 
 def within(

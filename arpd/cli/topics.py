@@ -100,7 +100,7 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 
 def _refuse_nonsense(options: argparse.Namespace) -> None:
-    from arpd.model.kinds import address
+    from arpd.model.kinds import ADDRESS
 
     for name in ("robot", "base"):
         given = getattr(options, name)
@@ -109,7 +109,7 @@ def _refuse_nonsense(options: argparse.Namespace) -> None:
         if not options.suggest:
             raise UsageError(f"--{name} goes into a configuration; give --suggest, too")
         try:
-            address().read(given)
+            ADDRESS.read(given)
         except ValueError as error:
             raise UsageError(f"--{name}: {error}") from None
 

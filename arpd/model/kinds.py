@@ -7,6 +7,7 @@ from __future__ import annotations
 import ipaddress
 import re
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
@@ -54,18 +55,9 @@ class Kind:
         return core_schema.no_info_plain_validator_function(self.read)
 
 
-def number(low: float, high: float, *, word: str = "") -> Kind:
+def number(low: float, high: float, *, word: str = "", of: type[float] = float) -> Kind:
     """Return the kind of a number, both bounds allowed, or a word for None."""
-    return _bounded(float, "a number", low, high, word)
-
-
-def count(low: int, high: int, *, word: str = "") -> Kind:
-    """Return the kind of a whole number, both bounds allowed, or a word for None."""
-    return _bounded(int, "a whole number", low, high, word)
-
-
-def _bounded(of: type[float], what: str, low: float, high: float, word: str) -> Kind:
-    right = f"{low:.12g}..{high:.12g}"
+    what, right = "a whole number" if of is int else "a number", f"{low:.12g}..{high:.12g}"
 
     def read(raw: Any) -> float:
         if isinstance(raw, bool) or not isinstance(raw, int if of is int else int | float):
@@ -77,26 +69,13 @@ def _bounded(of: type[float], what: str, low: float, high: float, word: str) -> 
     return _or_word(Kind(read=read, write=of, range=right), word)
 
 
-def rate(low: str, high: str, *, word: str = "") -> Kind:
-    """Return the kind of a data rate (bytes/s)."""
-    return _quantity(parse_rate, spell_rate, "a rate like 20mbit", (low, high), word)
-
-
-def size(low: str, high: str, *, word: str = "") -> Kind:
-    """Return the kind of a size (bytes)."""
-    return _quantity(parse_size, spell_size, "a size like 64MiB", (low, high), word)
-
-
-def duration(low: str, high: str, *, word: str = "") -> Kind:
-    """Return the kind of a duration (s)."""
-    return _quantity(parse_duration, spell_duration, "a duration like 500ms", (low, high), word)
+count = partial(number, of=int)
 
 
 def _quantity(
-    parse: Callable[[str], float], spell: Callable[[float], str], what: str, bounds: tuple[str, str], word: str
+    parse: Callable[[str], float], spell: Callable[[float], str], what: str, low: str, high: str, *, word: str = ""
 ) -> Kind:
     """Return the kind of a number with its unit, because the key does not name one."""
-    low, high = bounds
 
     def read(raw: Any) -> float:
         if isinstance(raw, int | float) and not isinstance(raw, bool):
@@ -109,6 +88,12 @@ def _quantity(
         return value
 
     return _or_word(Kind(read=read, write=spell, range=f"{low}..{high}"), word)
+
+
+# Kinds of quantities between two bounds, or a word for None: rate("8kbit", "100gbit", word="auto").
+rate = partial(_quantity, parse_rate, spell_rate, "a rate like 20mbit")  # (bytes/s)
+size = partial(_quantity, parse_size, spell_size, "a size like 64MiB")  # (bytes)
+duration = partial(_quantity, parse_duration, spell_duration, "a duration like 500ms")  # (s)
 
 
 def choice(words: type[StrEnum]) -> Kind:
@@ -139,16 +124,6 @@ def text(pattern: str, what: str, right: str, *, word: str = "") -> Kind:
     return _or_word(Kind(read=read, range=right), word)
 
 
-def topic_name() -> Kind:
-    """Return the kind of an absolute ROS 2 name that rmw_validate_full_topic_name admits."""
-    return Kind(read=_topic_name, range="an absolute ROS name such as /camera/image")
-
-
-def name_pattern() -> Kind:
-    """Return the kind of an absolute name in which stars may stand for other characters."""
-    return Kind(read=_name_pattern, range="a name such as /scan or a pattern such as /camera/**")
-
-
 def _name_pattern(raw: Any) -> str:
     if not isinstance(raw, str) or not is_pattern(raw):
         hint = f"/{raw}" if is_pattern(f"/{raw}") else "one such as /camera/image or /camera/**"
@@ -165,34 +140,26 @@ def _topic_name(raw: Any) -> str:
     return name
 
 
-def namespace_name() -> Kind:
-    """Return the kind of an absolute name to put before others, or `none` for the empty one."""
-
-    def read(raw: Any) -> str:
-        if raw == NONE:
-            return ""
-        name = _topic_name(raw)
-        if is_hidden(name) or is_internal(f"{name}/"):
-            raise ValueError(f"{shown(raw)} is a name that never crosses the link; write one such as /robot1")
-        return name
-
-    return Kind(read=read, write=lambda value: value or NONE, range=f"an absolute ROS name such as /robot1, or {NONE}")
+def _namespace(raw: Any) -> str:
+    if raw == NONE:
+        return ""
+    name = _topic_name(raw)
+    if is_hidden(name) or is_internal(f"{name}/"):
+        raise ValueError(f"{shown(raw)} is a name that never crosses the link; write one such as /robot1")
+    return name
 
 
-def address() -> Kind:
-    """Return the kind of an IPv4 address or a host name, or `none` for an unknown one."""
-    right = f"an IPv4 address, a host name or {NONE}"
+_ADDRESS = f"an IPv4 address, a host name or {NONE}"
 
-    def read(raw: Any) -> str | None:
-        if raw == NONE:
-            return None
-        if isinstance(raw, str) and ":" in raw:
-            raise ValueError(f"{shown(raw)} is no IPv4 address, and arpd's link is IPv4; write {right}")
-        if not isinstance(raw, str) or not _is_address(raw):
-            raise ValueError(f"{shown(raw)} is not an address; write {right}")
-        return raw
 
-    return Kind(read=read, write=lambda value: value or NONE, range=right, word=NONE)
+def _address(raw: Any) -> str | None:
+    if raw == NONE:
+        return None
+    if isinstance(raw, str) and ":" in raw:
+        raise ValueError(f"{shown(raw)} is no IPv4 address, and arpd's link is IPv4; write {_ADDRESS}")
+    if not isinstance(raw, str) or not _is_address(raw):
+        raise ValueError(f"{shown(raw)} is not an address; write {_ADDRESS}")
+    return raw
 
 
 def _is_address(raw: str) -> bool:
@@ -203,6 +170,16 @@ def _is_address(raw: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _or_none(value: str | None) -> str:
+    return value or NONE
+
+
+NAME_PATTERN = Kind(read=_name_pattern, range="a name such as /scan or a pattern such as /camera/**")
+TOPIC_NAME = Kind(read=_topic_name, range="an absolute ROS name such as /camera/image")
+NAMESPACE = Kind(read=_namespace, write=_or_none, range=f"an absolute ROS name such as /robot1, or {NONE}")
+ADDRESS = Kind(read=_address, write=_or_none, range=_ADDRESS, word=NONE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,16 +219,7 @@ def _or_word(kind: Kind, word: str) -> Kind:
 
 def shown(raw: Any) -> str:
     """Return a value of the file as a fault shows it."""
-    match raw:
-        case None:
-            return "nothing"
-        case bool():
-            return str(raw).lower()
-        case str():
-            return f"'{printable(raw)}'"
-        case list():
-            return "a list"
-        case dict():
-            return "a mapping"
-        case _:
-            return repr(raw)
+    if isinstance(raw, str):
+        return f"'{printable(raw)}'"
+    words = {type(None): "nothing", bool: str(raw).lower(), list: "a list", dict: "a mapping"}
+    return words.get(type(raw)) or repr(raw)

@@ -12,33 +12,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, TypeGuard
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
-# The bit units are those of tc(8), decimal. tc's byte units (`kbps` is kilobytes there) are missing on purpose:
-# everybody reads them as bits.
-_BIT_RATES = {
-    unit: Fraction(scale, 8) for unit, scale in {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9}.items()
-}
-_SIZES = {
-    unit: Fraction(scale)
-    for unit, scale in {
-        "B": 1,
-        "kB": 10**3,
-        "MB": 10**6,
-        "GB": 10**9,
-        "KiB": 2**10,
-        "MiB": 2**20,
-        "GiB": 2**30,
-    }.items()
-}
-_DURATIONS = {
-    "ns": Fraction(1, 10**9),
-    "us": Fraction(1, 10**6),
-    "ms": Fraction(1, 10**3),
-    "s": Fraction(1),
-    "min": Fraction(60),
-    "h": Fraction(3600),
-}
 # Exponents of three digits and 40 characters in all: a quantity never costs more memory than its text.
 _QUANTITY = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]{1,3})?|\.[0-9]+)\s*([A-Za-zµμ/]*)\s*", re.ASCII)
 _LONGEST = 40
@@ -46,79 +21,80 @@ _MOST_DECIMALS = 9
 _HUGE = 1e15  # floats hold every whole number below it
 
 
-def parse_rate(text: str) -> float:
-    """Read a data rate: `bit`, `kbit`, `mbit`, `gbit` (any case, `/s` allowed), or `B/s`, `kB/s`, `MiB/s` and so on.
+class _Units:
+    """Units of one kind of quantity.
 
-    Returns
-    -------
-    The rate (bytes/s).
-
-    Raises
-    ------
-    ValueError
-        If it is not a rate.
+    Parameters
+    ----------
+    what, example : name of the quantity, and how one writes it
+    spelled : units that are written, in base units
+    more : units that are only read
+    unit_of : returns the unit that a word stands for
     """
-    number, unit = _split(text, "rate", "20mbit or 125kB/s")
-    if unit.casefold() in {"kbps", "mbps", "gbps", "bps"}:
-        raise ValueError(f"'{unit}' means bits to some and bytes to tc(8); write kbit, mbit, gbit, kB/s or MB/s")
+
+    def __init__(
+        self,
+        what: str,
+        example: str,
+        spelled: Mapping[str, Fraction],
+        more: Mapping[str, Fraction],
+        unit_of: Callable[[str], str] = str,
+    ) -> None:
+        self._what, self._example, self._unit_of = what, example, unit_of
+        self._spelled, self._read = spelled, {**spelled, **more}
+
+    def parse(self, text: str) -> float:
+        """Read a quantity in base units, or raise ValueError with ``what is wrong; what would be right``."""
+        match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+        if match is None:
+            raise ValueError(f"{_quoted(text)} is not a {self._what}; write it like {self._example}")
+        number, unit = match[1], match[2]
+        if not unit:
+            raise ValueError(f"{_quoted(text)} has no unit; write a {self._what} like {self._example}")
+        if (scale := self._read.get(self._unit_of(unit))) is None:
+            raise ValueError(f"'{unit[:_LONGEST]}' is not a unit of a {self._what}; write it like {self._example}")
+        return _scaled(number, scale)
+
+    def spell(self, value: float) -> str:
+        """Return the shortest text that `parse` reads back exactly."""
+        spellings = [
+            f"{number}{unit}"
+            for unit, scale in self._spelled.items()
+            for number in (f"{value / float(scale):g}", f"{value / float(scale)!r}")
+            if _scaled(number, scale) == value
+        ]
+        return min(spellings, key=len)
+
+
+def _rate_unit(unit: str) -> str:
+    """Take bit units in any case, and refuse those of tc(8) for bytes: everybody reads `kbps` as bits."""
     bits = unit.casefold().removesuffix("/s")
-    if bits in _BIT_RATES:
-        return _scaled(number, _BIT_RATES[bits])
-    size = _byte_unit(unit.removesuffix("/s"))
-    if unit.endswith("/s") and size in _SIZES:
-        return _scaled(number, _SIZES[size])
-    raise ValueError(_no_such_unit(text, unit, "rate", "20mbit or 125kB/s"))
+    if bits in {"kbps", "mbps", "gbps", "bps"}:
+        raise ValueError(f"'{unit}' means bits to some and bytes to tc(8); write kbit, mbit, gbit, kB/s or MB/s")
+    return bits if bits in _BITS else unit
 
 
-def parse_size(text: str) -> float:
-    """Read an amount of memory or data: `B`, `kB`, `MB`, `GB` (decimal) or `KiB`, `MiB`, `GiB` (binary).
-
-    Returns
-    -------
-    The size (bytes).
-
-    Raises
-    ------
-    ValueError
-        If it is not a size.
-    """
-    number, unit = _split(text, "size", "64MiB or 500kB")
-    if (name := _byte_unit(unit)) in _SIZES:
-        return _scaled(number, _SIZES[name])
-    raise ValueError(_no_such_unit(text, unit, "size", "64MiB or 500kB"))
-
-
-def parse_duration(text: str) -> float:
-    """Read a duration: `ns`, `us`, `ms`, `s`, `min` or `h`.
-
-    Returns
-    -------
-    The duration (s).
-
-    Raises
-    ------
-    ValueError
-        If it is not a duration.
-    """
-    number, unit = _split(text, "duration", "500ms or 2s")
-    if (name := re.sub("[µμ]s", "us", unit)) in _DURATIONS:
-        return _scaled(number, _DURATIONS[name])
-    raise ValueError(_no_such_unit(text, unit, "duration", "500ms or 2s"))
-
-
-def spell_rate(bytes_per_second: float) -> str:
-    """Write a rate (bytes/s) so that `parse_rate` reads exactly the same number."""
-    return _spell(bytes_per_second, _BIT_RATES)
-
-
-def spell_size(size_bytes: float) -> str:
-    """Write a size (bytes) so that `parse_size` reads exactly the same number."""
-    return _spell(size_bytes, _SIZES)
-
-
-def spell_duration(seconds: float) -> str:
-    """Write a duration (s) so that `parse_duration` reads exactly the same number."""
-    return _spell(seconds, _DURATIONS)
+_BITS = {unit: Fraction(10**power, 8) for unit, power in {"bit": 0, "kbit": 3, "mbit": 6, "gbit": 9}.items()}
+_SIZES = {unit: Fraction(10**power) for unit, power in {"B": 0, "kB": 3, "MB": 6, "GB": 9}.items()} | {
+    unit: Fraction(2**power) for unit, power in {"KiB": 10, "MiB": 20, "GiB": 30}.items()
+}
+_MORE_SIZES = {"KB": Fraction(10**3)}  # any other unit keeps its case: Mb may mean megabits
+_PER_S = {f"{unit}/s": scale for unit, scale in (_SIZES | _MORE_SIZES).items()}
+_MICROSECOND = Fraction(1, 10**6)
+_TIMES = {
+    "ns": Fraction(1, 10**9),
+    "us": _MICROSECOND,
+    "ms": Fraction(1, 10**3),
+    "s": Fraction(1),
+    "min": Fraction(60),
+    "h": Fraction(3600),
+}
+_RATE = _Units("rate", "20mbit or 125kB/s", _BITS, _PER_S, _rate_unit)  # (bytes/s)
+_SIZE = _Units("size", "64MiB or 500kB", _SIZES, _MORE_SIZES)  # (bytes)
+_DURATION = _Units("duration", "500ms or 2s", _TIMES, {"µs": _MICROSECOND, "μs": _MICROSECOND})  # (s)
+parse_rate, spell_rate = _RATE.parse, _RATE.spell
+parse_size, spell_size = _SIZE.parse, _SIZE.spell
+parse_duration, spell_duration = _DURATION.parse, _DURATION.spell
 
 
 def format_rate(bytes_per_second: float | None) -> str:
@@ -172,13 +148,6 @@ def shortened(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def _split(text: str, what: str, example: str) -> tuple[str, str]:
-    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
-    if match is None:
-        raise ValueError(f"{_quoted(text)} is not a {what}; write it like {example}")
-    return match[1], match[2]
-
-
 def _scaled(number: str, scale: Fraction) -> float:
     """Multiply exactly and round once, so that `1.1ms` is the float nearest to 0.0011."""
     try:
@@ -187,31 +156,9 @@ def _scaled(number: str, scale: Fraction) -> float:
         raise ValueError(f"{_quoted(number)} is too large; write a smaller number") from None
 
 
-def _byte_unit(unit: str) -> str:
-    """Accept `KB` for `kB`. Every other unit keeps its case: `Mb` may mean megabits."""
-    return "kB" if unit == "KB" else unit
-
-
-def _no_such_unit(text: str, unit: str, what: str, example: str) -> str:
-    if not unit:
-        return f"{_quoted(text)} has no unit; write a {what} like {example}"
-    return f"'{unit[:_LONGEST]}' is not a unit of a {what}; write it like {example}"
-
-
 def _quoted(text: str) -> str:
     shown = ascii(text)
     return shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 1]}…'"
-
-
-def _spell(value: float, units: Mapping[str, Fraction]) -> str:
-    """Return the shortest text that gives the value back exactly."""
-    spellings = [
-        f"{number}{unit}"
-        for unit, scale in units.items()
-        for number in (f"{value / float(scale):g}", f"{value / float(scale)!r}")
-        if _scaled(number, scale) == value
-    ]
-    return min(spellings, key=len)
 
 
 def _format(value: float | None, units: Mapping[str, float]) -> str:

@@ -13,25 +13,25 @@ from typing import Annotated, Any, ClassVar
 
 from arpd.model.endpoints import Overflow
 from arpd.model.kinds import (
+    ADDRESS,
+    NAME_PATTERN,
+    NAMESPACE,
     NONE,
-    address,
+    TOPIC_NAME,
     choice,
     count,
     duration,
     listed,
-    name_pattern,
-    namespace_name,
     number,
     rate,
     size,
     text,
-    topic_name,
 )
 from arpd.model.names import compile_patterns
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
-_PATTERNS = listed(name_pattern(), "a list of names and patterns such as [/scan, /camera/**]")
+_PATTERNS = listed(NAME_PATTERN, "a list of names and patterns such as [/scan, /camera/**]")
 _MOST_KNOWN = 10_000  # names on the network may come and go for ever
 
 
@@ -197,7 +197,7 @@ class TopicSettings(Preferences):
     source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
     """
 
-    name: Annotated[str, name_pattern()]
+    name: Annotated[str, NAME_PATTERN]
     payload_bytes: Annotated[float | None, size("1B", "1GB", word="measured")] = None
     source_rate_hz: Annotated[float | None, number(0.001, 100_000, word="measured")] = None
 
@@ -216,8 +216,8 @@ class TopicGroup(Section):
     name : stands for them in the program; the first of them where none is given
     """
 
-    name: Annotated[str, topic_name()] = ""
-    topics: Annotated[tuple[str, ...], listed(topic_name(), "a list of names such as [/left/image, /right/image]")]
+    name: Annotated[str, TOPIC_NAME] = ""
+    topics: Annotated[tuple[str, ...], listed(TOPIC_NAME, "a list of names such as [/left/image, /right/image]")]
 
     def __post_init__(self) -> None:
         """Give it its name."""
@@ -235,7 +235,7 @@ class RelayTopic(Section):
     depth : KEEP_LAST depth before the first plan, None = one that suits the samples
     """
 
-    name: Annotated[str, topic_name()]
+    name: Annotated[str, TOPIC_NAME]
     overflow: Annotated[Overflow, choice(Overflow)] = Overflow.LATEST
     depth: Annotated[int | None, count(1, 5000)] = None
 
@@ -267,9 +267,9 @@ class RelaySettings(Section):
     """
 
     link_domain: Annotated[int | None, count(0, 232, word=NONE)] = None
-    robot: Annotated[str | None, address()] = None
-    base: Annotated[str | None, address()] = None
-    namespace: Annotated[str, namespace_name()] = ""
+    robot: Annotated[str | None, ADDRESS] = None
+    base: Annotated[str | None, ADDRESS] = None
+    namespace: Annotated[str, NAMESPACE] = ""
     to_base: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
     to_robot: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
     deny: Annotated[tuple[str, ...], _PATTERNS] = ()
@@ -277,7 +277,7 @@ class RelaySettings(Section):
     actions: Annotated[tuple[str, ...], _PATTERNS] = ()
     call_timeout_s: Annotated[float, duration("100ms", "1h")] = 10.0
     groups: tuple[TopicGroup, ...] = ()
-    prefix: Annotated[str, topic_name()] = "/link"
+    prefix: Annotated[str, TOPIC_NAME] = "/link"
     topics: tuple[RelayTopic, ...] = ()
 
     @property

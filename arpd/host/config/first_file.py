@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from arpd.host.config.keys import keys_of, kinds_of
+from arpd.host.config.keys import keys_of
 from arpd.model.kinds import NONE
 from arpd.model.quantities import format_rate, printable
 from arpd.model.settings import TopicSettings
@@ -129,11 +129,12 @@ def _of_robot(link: LinkChoice) -> str:
 
 def _entry(topic: TopicGuess) -> Mapping[str, Any]:
     """Return one item of `topics`."""
-    kinds = kinds_of(TopicSettings)
-    guessed = {key: getattr(topic, attribute, None) for key, (attribute, _) in keys_of(TopicSettings).items()}
-    written = {key: kinds[key].write(value) for key, value in guessed.items() if value is not None}
-    whole = {key: int(value) for key, value in written.items() if isinstance(value, float) and value.is_integer()}
-    return {"name": topic.name} | written | whole
+    entry: dict[str, Any] = {"name": topic.name}
+    for name, key in keys_of(TopicSettings).items():
+        if (value := getattr(topic, key.attribute, None)) is not None:
+            written = key.kind.write(value)
+            entry[name] = int(written) if isinstance(written, float) and written.is_integer() else written
+    return entry
 
 
 def _yaml(value: Any) -> list[str]:

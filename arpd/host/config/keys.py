@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 from arpd.model.kinds import Kind
 from arpd.model.settings import Section, Settings, key_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from arpd.model.kinds import Written
 
 _RESTART_ONLY = ("link.interface", "http.", "relay.")
 _ABSENT = "absent"
-_KEYS: dict[type[Section], Mapping[str, tuple[str, Any]]] = {}
 
 
-def keys_of(section: type[Section]) -> Mapping[str, tuple[str, Any]]:
-    """Return the attribute of every key, and its `Kind` or section."""
+class Key(NamedTuple):
+    """Attribute of a key, and the `Kind` of its value, or the section under it."""
+
+    attribute: str
+    kind: Any
+
+
+_KEYS: dict[type[Section], dict[str, Key]] = {}
+
+
+def keys_of(section: type[Section]) -> dict[str, Key]:
+    """Return the keys of a section."""
     if section not in _KEYS:
         hints = get_type_hints(section, include_extras=True)
         names = [each.name for each in fields(section) if each.init]  # type: ignore[arg-type]
-        _KEYS[section] = {key_of(name): (name, _kind(hints[name])) for name in names}
+        _KEYS[section] = {key_of(name): Key(name, _kind(hints[name])) for name in names}
     return _KEYS[section]
 
 
@@ -33,20 +42,15 @@ def _kind(hint: Any) -> Any:
     return get_args(hint)[0] if get_args(hint) else hint
 
 
-def kinds_of(section: type[Section]) -> dict[str, Kind]:
-    """Return the kind of every key that holds a value."""
-    return {key: kind for key, (_, kind) in keys_of(section).items() if isinstance(kind, Kind)}
+def _sections(section: type[Section], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], dict[str, Key]]]:
+    yield path, keys_of(section)
+    for name, key in keys_of(section).items():
+        if not isinstance(key.kind, Kind):
+            yield from _sections(key.kind, (*path, name))
 
 
-def _sections(section: type[Section], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], type[Section]]]:
-    yield path, section
-    for key, (_, kind) in keys_of(section).items():
-        if not isinstance(kind, Kind):
-            yield from _sections(kind, (*path, key))
-
-
-# Every section by its location, without list positions.
-SECTIONS: Mapping[tuple[str, ...], type[Section]] = dict(_sections(Settings))
+# The keys of every section by its location, without list positions.
+SECTIONS = dict(_sections(Settings))
 
 
 def flatten(settings: Settings) -> dict[str, Written]:

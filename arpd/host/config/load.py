@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from arpd.host.config.keys import SECTIONS, keys_of, kinds_of
+from arpd.host.config.keys import SECTIONS
 from arpd.host.config.rules import broken_rules
 from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
 from arpd.model.kinds import shown
-from arpd.model.quantities import printable
 from arpd.model.settings import Settings
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import TopicSettings
 
 _SETTINGS = TypeAdapter(Settings)
-_NO_MAPPING = {"dataclass_type", "model_type", "model_attributes_type", "dict_type"}
+_LISTS = {("topics",), ("relay", "topics"), ("relay", "groups")}
 
 
 def load_settings(
@@ -47,20 +46,17 @@ def load_settings(
         With every fault of the file, in its order.
     """
     source = read_source(path)
-    faults, spoilt = list(source.faults), frozenset[Any]()
+    faults = list(source.faults)
     try:
         settings = _SETTINGS.validate_python(source.data)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        known = {path: list(keys_of(section)) for path, section in SECTIONS.items()}
-        faults += (reworded(each, source, known) for each in details)
-        spoilt = frozenset(_spoilt(each["loc"]) for each in details)
+        faults += (_reworded(each, source) for each in details)
+        source.spoilt.update(_spoilt(each["loc"]) for each in details)
         # The rules need settings, too: one wrong value hides no other fault.
-        settings = _SETTINGS.validate_python(_without(source.data, spoilt))
-    settings = replace(settings, topics=_inherited(settings, source, spoilt))
-    faults += broken_rules(
-        settings, source, spoilt, interfaces=interfaces() if interfaces else None, local_domain=local_domain
-    )
+        settings = _SETTINGS.validate_python(_without(source.data, source.spoilt))
+    settings = replace(settings, topics=_inherited(settings, source))
+    faults += broken_rules(settings, source, interfaces=interfaces() if interfaces else None, local_domain=local_domain)
     if faults:
         raise config_error(path, faults)
     return settings
@@ -79,43 +75,38 @@ def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
         return None
 
 
-def reworded(details: ErrorDetails, source: YamlSource, known: Mapping[tuple[str, ...], Collection[str]]) -> Fault:
-    """Return the fault behind an error of pydantic.
-
-    Parameters
-    ----------
-    known : keys of every section, by its location without list positions
-    """
+def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
+    """Return the fault behind an error of pydantic."""
     location: Location = details["loc"]
-    section = known.get(tuple(step for step in location if isinstance(step, str)), ())
-    value = source.value(location)
-    match details["type"]:
-        case "unexpected_keyword_argument" | "extra_forbidden":
-            text = f"unknown key; {_nearest(location, known)}"
-            return Fault(place=source.keys[location], key=dotted(location), text=text)
-        case "missing":
-            text = f"is missing; add `{location[-1]}:`"
-        case kind if kind in _NO_MAPPING:
-            wrong = "has no value" if value is None else f"{shown(value)} is not a mapping"
-            keys = f" ({', '.join(section)})" if section else ""
-            text = f"{wrong}; give it keys{keys} or leave it out"
-        case "tuple_type":
-            wrong = "has no value" if value is None else f"{shown(value)} is not a list"
-            text = f"{wrong}; write a list, or [] for none"
-        case "value_error":
-            text = str(details["ctx"]["error"])
-        case _:
-            text = f"{printable(details['msg'])}; see the manual"
+    value, kind = source.value(location), details["type"]
+    if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
+        return Fault(source.keys[location], dotted(location), f"unknown key; {_nearest(location)}")
+    wrong = "has no value" if value is None else f"{shown(value)} is not"
+    if kind == "missing":
+        text = f"is missing; add `{location[-1]}:`"
+    elif kind == "value_error":
+        text = str(details["ctx"]["error"])
+    elif kind == "tuple_type":
+        text = f"{wrong}{'' if value is None else ' a list'}; write a list, or [] for none"
+    else:
+        keys = SECTIONS.get(_path(location), {})
+        listed = f" ({', '.join(keys)})" if keys else ""
+        text = f"{wrong}{'' if value is None else ' a mapping'}; give it keys{listed} or leave it out"
     return source.fault(location, text)
 
 
-def _nearest(location: Location, known: Mapping[tuple[str, ...], Collection[str]]) -> str:
+def _path(location: Location) -> tuple[str, ...]:
+    """Return a location without positions in lists."""
+    return tuple(step for step in location if isinstance(step, str))
+
+
+def _nearest(location: Location) -> str:
     """Suggest a key that looks like the wrong one, or list the known keys."""
-    *above, wrong = (step for step in location if isinstance(step, str))
-    here = known[tuple(above)]
+    *above, wrong = _path(location)
+    here = SECTIONS[*above,]
     if near := difflib.get_close_matches(wrong[:100].lower(), here, n=1):
         return f"did you mean {near[0]}?"
-    if elsewhere := [".".join((*path, wrong)) for path, keys in known.items() if wrong in keys]:
+    if elsewhere := [".".join((*path, wrong)) for path, keys in SECTIONS.items() if wrong in keys]:
         return f"did you mean {elsewhere[0]}?"
     return f"known here: {', '.join(here)}"
 
@@ -123,8 +114,11 @@ def _nearest(location: Location, known: Mapping[tuple[str, ...], Collection[str]
 def _spoilt(location: Location) -> Location:
     """Return what a fault makes useless: a value, or the whole item of a list whose name or topics are at fault."""
     for length, step in enumerate(location):
-        above = tuple(step for step in location[:length] if isinstance(step, str))
-        if step in {"name", "topics"} and above in {("topics",), ("relay", "topics"), ("relay", "groups")}:
+        if step in {"name", "topics"} and _path(location[:length]) in {
+            ("topics",),
+            ("relay", "topics"),
+            ("relay", "groups"),
+        }:
             return location[:length]
     return location
 
@@ -141,11 +135,11 @@ def _without(value: Any, spoilt: Collection[Location], location: Location = ()) 
     return value
 
 
-def _inherited(settings: Settings, source: YamlSource, spoilt: Collection[Location]) -> tuple[TopicSettings, ...]:
+def _inherited(settings: Settings, source: YamlSource) -> tuple[TopicSettings, ...]:
     """Return the entries of ``topics`` with ``defaults`` for keys that they leave out, without the floor."""
-    shared = kinds_of(SECTIONS["defaults",]).keys() - {"min_rate_hz"}
+    shared = {name: key.attribute for name, key in SECTIONS["defaults",].items() if name != "min_rate_hz"}
     topics = []
-    for location, topic in source.items(("topics",), settings.topics, spoilt):
-        absent = [keys_of(SECTIONS["defaults",])[key][0] for key in shared - source.value(location).keys()]
-        topics.append(replace(topic, **{attribute: getattr(settings.defaults, attribute) for attribute in absent}))
+    for location, topic in source.items(("topics",), settings.topics):
+        absent = shared.keys() - source.value(location).keys()
+        topics.append(replace(topic, **{shared[name]: getattr(settings.defaults, shared[name]) for name in absent}))
     return tuple(topics)

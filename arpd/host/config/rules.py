@@ -18,12 +18,7 @@ _ONE_ENDED = frozenset({"link_domain", "prefix", "topics"})  # keys of `relay` t
 
 
 def broken_rules(
-    settings: Settings,
-    source: YamlSource,
-    spoilt: Collection[Location],
-    *,
-    interfaces: Collection[str] | None,
-    local_domain: int | None,
+    settings: Settings, source: YamlSource, *, interfaces: Collection[str] | None, local_domain: int | None
 ) -> Iterator[Fault]:
     """Yield the faults that no single value shows.
 
@@ -31,7 +26,6 @@ def broken_rules(
     ----------
     settings : of the file, without what is at fault
     source : the file
-    spoilt : what is at fault
     interfaces : names of this host's interfaces, None = unknown
     local_domain : ROS domain of this host's own nodes, None = unknown
     """
@@ -40,33 +34,30 @@ def broken_rules(
         existing = ", ".join(sorted(interfaces)) or "none"
         wrong = f"'{name}' does not exist on this host; write auto or one of {existing}"
         yield source.fault(("link", "interface"), wrong)
-    topics = source.items(("topics",), settings.topics, spoilt)
-    relayed = source.items(("relay", "topics"), relay.topics, spoilt)
-    groups = source.items(("relay", "groups"), relay.groups, spoilt)
-    yield from _unordered(settings, source, topics, spoilt)
+    topics = source.items(("topics",), settings.topics)
+    relayed = source.items(("relay", "topics"), relay.topics)
+    yield from _unordered(settings, source, topics)
     yield from _repeated(source, _names(topics))
     yield from _repeated(source, _names(relayed))
-    yield from _mixed_groups(source, groups)
+    yield from _mixed_groups(source, source.items(("relay", "groups"), relay.groups))
     for location, topic in topics:
         for key in ("payload", "source_rate_hz"):
-            if "*" in topic.name and (*location, key) in source.values:
+            if topic.is_pattern and (*location, key) in source.values:
                 yield source.fault((*location, key), "belongs to one topic; name it without stars, or remove this key")
     if relay.link_domain is not None:
-        yield from _bad_ends(relay, source, spoilt, local_domain=local_domain)
+        yield from _bad_ends(relay, source, local_domain)
         yield from _grouped(source, relay, [*_names(topics), *_names(relayed)])
-    elif not {("relay", "link_domain"), ("relay", "prefix")} & {*spoilt}:
+    elif source.spoilt.isdisjoint({("relay", "link_domain"), ("relay", "prefix")}):
         yield from _bad_relayed_names(source, relay.prefix, relayed)
         yield from _unused_keys(source, relay)
 
 
-def _bad_ends(
-    relay: RelaySettings, source: YamlSource, spoilt: Collection[Location], *, local_domain: int | None
-) -> Iterator[Fault]:
+def _bad_ends(relay: RelaySettings, source: YamlSource, local_domain: int | None) -> Iterator[Fault]:
     """Yield a domain that this host's own nodes use, and ends of which neither knows the other's address."""
     if relay.link_domain == local_domain:
         wrong = f"{local_domain} is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
         yield source.fault(("relay", "link_domain"), wrong)
-    if relay.robot is relay.base is None and not {("relay", "robot"), ("relay", "base")} & {*spoilt}:
+    if relay.robot is relay.base is None and source.spoilt.isdisjoint({("relay", "robot"), ("relay", "base")}):
         wrong = "needs the address of one end, or nobody would find the other; give relay.robot or relay.base"
         yield source.fault(("relay", "link_domain"), wrong)
 
@@ -83,30 +74,22 @@ def _names(entries: Iterable[tuple[Location, TopicSettings | RelayTopic]]) -> li
     return [((*location, "name"), entry.name) for location, entry in entries]
 
 
-def _unordered(
-    settings: Settings,
-    source: YamlSource,
-    topics: list[tuple[Location, TopicSettings]],
-    spoilt: Collection[Location],
-) -> Iterator[Fault]:
+def _unordered(settings: Settings, source: YamlSource, topics: list[tuple[Location, TopicSettings]]) -> Iterator[Fault]:
     """Yield a fault where a minimum is above its maximum, at the one of the two that the file names there."""
     for location, entry in [(("defaults",), settings.defaults), *topics]:
         least_hz = settings.defaults.min_rate_hz if entry.min_rate_hz is None else entry.min_rate_hz
         rates = ("min_rate_hz", least_hz, "max_rate_hz", entry.max_rate_hz)
-        depths = ("min_depth", entry.min_depth, "max_depth", entry.max_depth)
-        for low_key, low, high_key, high in (rates, depths):
-            low_place, high_place = (
+        for low_key, low, high_key, high in (rates, ("min_depth", entry.min_depth, "max_depth", entry.max_depth)):
+            places = [
                 (*location, key) if (*location, key) in source.values else ("defaults", key)
                 for key in (low_key, high_key)
-            )
-            if high is None or low <= high or low_place in spoilt or high_place in spoilt:
+            ]
+            if high is None or low <= high or not source.spoilt.isdisjoint(places):
                 continue
-            if low_place[:-1] == location:
-                wrong = f"{low:g} is above {high_key} {high:g}; lower it or raise {high_key}"
-                yield source.fault(low_place, wrong)
-            elif high_place[:-1] == location:
-                wrong = f"{high:g} is below {low_key} {low:g}; raise it or lower {low_key}"
-                yield source.fault(high_place, wrong)
+            if places[0][:-1] == location:
+                yield source.fault(places[0], f"{low:g} is above {high_key} {high:g}; lower it or raise {high_key}")
+            elif places[1][:-1] == location:
+                yield source.fault(places[1], f"{high:g} is below {low_key} {low:g}; raise it or lower {low_key}")
 
 
 def _repeated(source: YamlSource, names: list[tuple[Location, str]]) -> Iterator[Fault]:

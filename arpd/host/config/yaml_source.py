@@ -12,7 +12,7 @@ from arpd.model.errors import ConfigError
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
 T = TypeVar("T")
@@ -38,16 +38,8 @@ class Place(NamedTuple):
     column: int = 1
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, order=True)
-class Fault:
-    """One thing wrong with the file.
-
-    Parameters
-    ----------
-    place : line and column
-    key : dotted key, ``file`` or ``yaml``
-    text : ``what is wrong; what would be right``
-    """
+class Fault(NamedTuple):
+    """One thing wrong with the file: its place, the dotted key, and ``what is wrong; what would be right``."""
 
     place: Place
     key: str
@@ -63,12 +55,14 @@ class YamlSource:
     data : plain mappings, lists and scalars
     keys, values : place of each key and of each value
     faults : repeated keys
+    spoilt : what checks have found at fault; rules between keys go without it
     """
 
     data: dict[str, Any] = field(default_factory=dict)
     keys: dict[Location, Place] = field(default_factory=dict)
     values: dict[Location, Place] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
+    spoilt: set[Location] = field(default_factory=set)
 
     def value(self, location: Location) -> Any:
         """Return the value there, None if there is none."""
@@ -82,17 +76,16 @@ class YamlSource:
                 return None
         return value
 
-    def items(self, location: Location, made: Sequence[T], spoilt: Collection[Location]) -> list[tuple[Location, T]]:
+    def items(self, location: Location, made: Sequence[T]) -> list[tuple[Location, T]]:
         """Return the place of each item of a list with what was made of it; nothing was made of what is at fault."""
         value = self.value(location)
         places = [(*location, index) for index in range(len(value))] if isinstance(value, list) else []
-        return list(zip([place for place in places if place not in spoilt], made, strict=True))
+        return list(zip([place for place in places if place not in self.spoilt], made, strict=True))
 
     def fault(self, location: Location, text: str) -> Fault:
         """Return a fault of the value there, at the place of the nearest value around it where there is none."""
         found = (self.values.get(location[:length]) for length in range(len(location), 0, -1))
-        place = next((place for place in found if place), Place())
-        return Fault(place=place, key=dotted(location), text=text)
+        return Fault(next((place for place in found if place), Place()), dotted(location), text)
 
 
 class _RefusedError(Exception):
@@ -100,7 +93,7 @@ class _RefusedError(Exception):
 
     def __init__(self, key: str, text: str, place: Place | None = None) -> None:
         super().__init__(text)
-        self.fault = Fault(place=place or Place(), key=key, text=text)
+        self.fault = Fault(place or Place(), key, text)
 
 
 def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
@@ -116,7 +109,7 @@ def read_source(path: Path, *, minimal: str = MINIMAL_FILE) -> YamlSource:
         If the file cannot be read, is not one YAML mapping, or has anchors, aliases, tags or deep nesting.
     """
     try:
-        return _Reader(_text(path)).read(minimal)
+        return _source(_text(path), minimal)
     except _RefusedError as error:
         raise config_error(path, [error.fault]) from None
 
@@ -127,7 +120,7 @@ def config_error(path: Path, faults: list[Fault]) -> ConfigError:
     faults = sorted(faults)
     if omitted := faults[MAX_FAULTS:]:
         text = f"has {len(omitted)} more faults; correct those above first"
-        faults = [*faults[:MAX_FAULTS], Fault(place=omitted[0].place, key="file", text=text)]
+        faults = [*faults[:MAX_FAULTS], Fault(omitted[0].place, "file", text)]
     return ConfigError([f"{file}:{f.place.line}:{f.place.column}: {f.key}: {f.text}" for f in faults])
 
 
@@ -158,86 +151,74 @@ def _text(path: Path) -> str:
         raise _RefusedError("file", f"byte 0x{raw[error.start]:02x} is not UTF-8; save it as UTF-8", place) from None
 
 
-class _Reader:
-    """Makes plain data of PyYAML's events; refuses aliases (they expand), tags (they run code) and too much."""
+class _Loader(yaml.SafeLoader):
+    """Composes nodes; refuses aliases (they expand), tags (they run code) and too much."""
 
-    def __init__(self, text: str) -> None:
-        try:
-            self._loader = yaml.SafeLoader(text)
-        except yaml.reader.ReaderError as error:
-            wrong = "a control character is not allowed here; remove it"
-            raise _RefusedError("yaml", wrong, _after(text[: error.position])) from None
-        self._source = YamlSource()
-        self._nodes = 0
+    _depth = _nodes = 0
 
-    def read(self, minimal: str) -> YamlSource:
-        self._next()
-        event = self._next()
-        if not isinstance(event, yaml.StreamEndEvent):
-            event = self._next()
-        if isinstance(event, yaml.StreamEndEvent) or (isinstance(event, yaml.ScalarEvent) and not event.value):
-            raise _RefusedError("file", f"is empty; {minimal}")
-        self._refuse(event, ())
-        if not isinstance(event, yaml.MappingStartEvent):
-            wrong = f"is {_kind(event)}, not a mapping of keys; {minimal}"
-            raise _RefusedError("file", wrong, _place(event.start_mark))
-        self._source.data.update(self._mapping(()))
-        self._next()
-        if not isinstance(event := self._next(), yaml.StreamEndEvent):
-            raise _RefusedError("yaml", "holds a second YAML document; keep one", _place(event.start_mark))
-        return self._source
-
-    def _next(self) -> Any:
-        try:
-            return self._loader.get_event()  # type: ignore[no-untyped-call]
-        except yaml.MarkedYAMLError as error:
-            wrong = f"{printable(error.problem or 'cannot be read', longest=200)}; correct the YAML here"
-            raise _RefusedError("yaml", wrong, _place(error.problem_mark or error.context_mark)) from None
-        except (ValueError, OverflowError):
-            # PyYAML converts some numbers unchecked: "\UFFFFFFFF", %YAML 1.<5,000 digits>.
-            wrong = "a number is out of range; correct the YAML here"
-            raise _RefusedError("yaml", wrong, _place(self._loader.get_mark())) from None
-
-    def _refuse(self, event: Any, location: Location) -> None:
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         self._nodes += 1
         if isinstance(event, yaml.AliasEvent) or event.anchor or event.tag:
             wrong = "anchors, aliases and tags are not allowed; write the value out"
-        elif len(location) >= MAX_DEPTH:
+        elif self._depth >= MAX_DEPTH:
             wrong = f"is nested more than {MAX_DEPTH} deep; remove levels"
         elif self._nodes > MAX_NODES:
             wrong = f"holds more than {MAX_NODES:,} keys and values; remove some"
         else:
-            return
+            self._depth += 1
+            node = super().compose_node(parent, index)
+            self._depth -= 1
+            return node
         raise _RefusedError("yaml", wrong, _place(event.start_mark))
 
-    def _value(self, event: Any, location: Location) -> Any:
-        self._refuse(event, location)
-        self._source.values[location] = _place(event.start_mark)
-        if isinstance(event, yaml.MappingStartEvent):
-            return self._mapping(location)
-        if isinstance(event, yaml.ScalarEvent):
-            return _scalar(event.value) if event.implicit[0] else event.value
-        items: list[Any] = []
-        while not isinstance(event := self._next(), yaml.SequenceEndEvent):
-            items.append(self._value(event, (*location, len(items))))
-        return items
 
-    def _mapping(self, location: Location) -> dict[str, Any]:
-        data: dict[str, Any] = {}
-        while not isinstance(event := self._next(), yaml.MappingEndEvent):
-            self._refuse(event, location)
-            place = _place(event.start_mark)
-            if not isinstance(event, yaml.ScalarEvent):
-                raise _RefusedError("yaml", f"{_kind(event)} cannot be a key; write a name", place)
-            inner = (*location, event.value)
-            if event.value in data:
-                wrong = f"is already given on line {self._source.keys[inner].line}; keep one of the two"
-                self._source.faults.append(Fault(place=place, key=dotted(inner), text=wrong))
-                self._value(self._next(), (*location, ""))
-                continue
-            self._source.keys[inner] = place
-            data[event.value] = self._value(self._next(), inner)
-        return data
+def _source(text: str, minimal: str) -> YamlSource:
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_node() if loader.check_node() else None
+        if loader.check_node():
+            place = _place(loader.peek_event().start_mark)  # type: ignore[no-untyped-call]
+            raise _RefusedError("yaml", "holds a second YAML document; keep one", place)
+    except yaml.reader.ReaderError as error:
+        wrong = "a control character is not allowed here; remove it"
+        raise _RefusedError("yaml", wrong, _after(text[: error.position])) from None
+    except yaml.MarkedYAMLError as error:
+        wrong = f"{printable(error.problem or 'cannot be read', longest=200)}; correct the YAML here"
+        raise _RefusedError("yaml", wrong, _place(error.problem_mark or error.context_mark)) from None
+    except (ValueError, OverflowError):
+        # PyYAML converts some numbers unchecked: "\UFFFFFFFF", %YAML 1.<5,000 digits>.
+        wrong = "a number is out of range; correct the YAML here"
+        raise _RefusedError("yaml", wrong, _place(loader and loader.get_mark())) from None
+    if node is None or node.value == "":
+        raise _RefusedError("file", f"is empty; {minimal}")
+    if not isinstance(node, yaml.MappingNode):
+        raise _RefusedError("file", f"is {_kind(node)}, not a mapping of keys; {minimal}", _place(node.start_mark))
+    source = YamlSource()
+    source.data.update(_plain(node, (), source))
+    return source
+
+
+def _plain(node: Any, location: Location, source: YamlSource) -> Any:
+    """Return what a node holds, and note the places in it."""
+    source.values[location] = _place(node.start_mark)
+    if isinstance(node, yaml.ScalarNode):
+        return _scalar(node.value) if node.style is None else node.value
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, (*location, index), source) for index, item in enumerate(node.value)]
+    data: dict[str, Any] = {}
+    for key, value in node.value:
+        place, inner = _place(key.start_mark), (*location, key.value)
+        if not isinstance(key, yaml.ScalarNode):
+            raise _RefusedError("yaml", f"{_kind(key)} cannot be a key; write a name", place)
+        if key.value in data:
+            wrong = f"is already given on line {source.keys[inner].line}; keep one of the two"
+            source.faults.append(Fault(place, dotted(inner), wrong))
+        else:
+            source.keys[inner] = place
+            data[key.value] = _plain(value, inner, source)
+    return data
 
 
 def _scalar(text: str) -> Any:
@@ -251,10 +232,10 @@ def _scalar(text: str) -> Any:
     return text
 
 
-def _kind(event: Any) -> str:
-    if isinstance(event, yaml.ScalarEvent):
+def _kind(node: Any) -> str:
+    if isinstance(node, yaml.ScalarNode):
         return "text"
-    return "a mapping" if isinstance(event, yaml.MappingStartEvent) else "a list"
+    return "a mapping" if isinstance(node, yaml.MappingNode) else "a list"
 
 
 def _place(mark: Any) -> Place:
