@@ -86,7 +86,7 @@ class Lane:
     weight : without a plan
     patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
         none (s)
-    key : what stands for the topic where small messages of several leave together; None = its messages leave alone
+    has_company : whether its messages leave together with those of other topics where all are small
 
     Attributes
     ----------
@@ -104,10 +104,10 @@ class Lane:
         is_kept: bool = False,
         weight: float = 1.0,
         patience_s: float = math.inf,
-        key: bytes | None = None,
+        has_company: bool = False,
     ) -> None:
         self.write = write
-        self.key = key
+        self.has_company = has_company
         self._depth, self._large_depth = depth, large_depth
         self._is_ordered = is_ordered
         self.is_kept = is_kept

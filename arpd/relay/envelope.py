@@ -4,31 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
 # CDR, little endian: an array without dimensions, no offset, and its length (OMG DDSI-RTPS 2.3, 10.5).
 _MESSAGE = struct.Struct("<4sIII")
 _CDR = b"\x00\x01\x00\x00"
 _CHUNK = struct.Struct("<IIIIIIB")
-_RECORD = struct.Struct("<HHIQ")
-_PASSENGER = struct.Struct("<6sH")
-_ORDER = {0: ">", 1: "<"}
+_RECORD = struct.Struct("<8sIQ")
 #: What a chunk adds to the part of the message in it (bytes).
 CHUNK_HEADER_BYTES = _MESSAGE.size + _CHUNK.size
-#: What a message takes that leaves together with others, beside its own bytes.
-PASSENGER_BYTES = _PASSENGER.size
 MOST_MESSAGE_BYTES = 2**26
 WRAP = 2**32  # of the numbers and times in a chunk
 
 
 class Record(NamedTuple):
-    """One sample: the place of its topic in a group, the number of its writer, its own number there, its bytes."""
+    """One sample: what stands for its writer, its number there, its bytes."""
 
-    member: int
-    writer: int
+    writer: bytes
     sequence: int
     sample: bytes
 
@@ -57,61 +52,36 @@ class Chunk(NamedTuple):
     part: bytes
 
 
+def writer_key(gid: str) -> bytes:
+    """Return what stands for the writer with this GUID in records, in a third of its bytes."""
+    return hashlib.blake2s(gid.encode(), digest_size=8).digest()
+
+
 def pack(records: Iterable[Record]) -> bytes:
     """Return one message with these records."""
     return b"".join(
-        part
-        for member, writer, sequence, sample in records
-        for part in (_RECORD.pack(member, writer, len(sample), sequence), sample)
+        part for writer, sequence, sample in records for part in (_RECORD.pack(writer, len(sample), sequence), sample)
     )
 
 
 def unpack(message: bytes) -> list[Record]:
-    """Return the records of a message.
+    """Return the records of a message, or of several in a row.
 
     Raises
     ------
     ValueError
         If the bytes are none that `pack` returns.
     """
-    return [
-        Record(member, writer, sequence, sample)
-        for (member, writer, _, sequence), sample in _parts(message, _RECORD, 2, "samples of a relay")
-    ]
-
-
-def key_of(link_name: str) -> bytes:
-    """Return what stands for a topic among messages that leave together."""
-    return hashlib.blake2s(link_name.encode(), digest_size=6).digest()
-
-
-def join(messages: Iterable[tuple[bytes, bytes]]) -> bytes:
-    """Return one message with these keys of topics and messages."""
-    return b"".join(part for key, message in messages for part in (_PASSENGER.pack(key, len(message)), message))
-
-
-def split(joined: bytes) -> list[tuple[bytes, bytes]]:
-    """Return the keys and messages of which `join` made one.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are none that `join` returns.
-    """
-    return [(key, message) for (key, _), message in _parts(joined, _PASSENGER, 1, "messages that left together")]
-
-
-def _parts(data: bytes, header: struct.Struct, length_at: int, what: str) -> Iterator[tuple[tuple[Any, ...], bytes]]:
-    """Yield every header's fields with the bytes behind it, whose length is one of the fields."""
-    at = 0
-    while at < len(data):
-        if at + header.size > len(data):
-            raise ValueError(f"no {what}")
-        fields = header.unpack_from(data, at)
-        at += header.size + fields[length_at]
-        if at > len(data):
-            raise ValueError(f"the last of the {what} is cut off")
-        yield fields, data[at - fields[length_at] : at]
+    records, at = [], 0
+    while at < len(message):
+        if at + _RECORD.size > len(message):
+            raise ValueError("no samples of a relay")
+        writer, size, sequence = _RECORD.unpack_from(message, at)
+        at += _RECORD.size + size
+        if at > len(message):
+            raise ValueError("the last sample of a relay is cut off")
+        records.append(Record(writer, sequence, message[at - size : at]))
+    return records
 
 
 def wrap(data: bytes) -> bytes:
@@ -174,18 +144,3 @@ class Assembly:
         self._ended = self._key
         message, self._parts, self._bytes = b"".join(self._parts), [], 0
         return message
-
-
-def stamp_of(sample: bytes) -> tuple[int, int]:
-    """Return the header stamp (s, ns) of a serialized message whose first field is a std_msgs/Header.
-
-    Raises
-    ------
-    ValueError
-        If the sample is too short.
-    """
-    try:
-        seconds, nanoseconds = struct.unpack_from(_ORDER[sample[1]] + "iI", sample, 4)
-    except (KeyError, IndexError, struct.error) as fault:
-        raise ValueError("a sample without a header stamp") from fault
-    return seconds, nanoseconds

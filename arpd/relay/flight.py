@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 from typing import NamedTuple
 
@@ -25,6 +26,9 @@ _PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows s
 _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
 _HALF = WRAP // 2
+_SIGN = struct.Struct("<BIIIIIIII")
+_VERSION = 2
+SIGN_BYTES = _SIGN.size
 
 
 class Receipt(NamedTuple):
@@ -44,6 +48,41 @@ class Receipt(NamedTuple):
     age_us: int = 0
     received: int = 0
     at_us: int = 0
+
+
+class Sign(NamedTuple):
+    """Sign of life of one end, with its receipt for the other's chunks.
+
+    Parameters
+    ----------
+    session : of the sender
+    number : of a probe, which the other end answers with a receipt; counted as chunks are, 0 = this is none
+    departed_us : when a probe left, by the sender's clock, modulo `WRAP` (µs)
+    """
+
+    session: int
+    number: int = 0
+    departed_us: int = 0
+    receipt: Receipt = Receipt()
+
+
+def encode_sign(sign: Sign) -> bytes:
+    """Return a sign as bytes."""
+    return _SIGN.pack(_VERSION, *sign[:3], *sign.receipt)
+
+
+def decode_sign(data: bytes) -> Sign:
+    """Return the sign from its bytes.
+
+    Raises
+    ------
+    ValueError
+        If they are none of this version.
+    """
+    if len(data) != SIGN_BYTES or data[0] != _VERSION:
+        raise ValueError("no sign of life of this version; install one arpd on both ends")
+    _, session, number, departed_us, *receipt = _SIGN.unpack(data)
+    return Sign(session, number, departed_us, Receipt(*receipt))
 
 
 class _Lowest:

@@ -5,30 +5,25 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import FRAGMENT_BYTES, HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
-from arpd.relay.envelope import (
-    CHUNK_HEADER_BYTES,
-    MOST_MESSAGE_BYTES,
-    PASSENGER_BYTES,
-    WRAP,
-    Chunk,
-    encode_chunk,
-    join,
-)
+from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
+from arpd.relay.flight import SIGN_BYTES, Flight, Received, Sign, decode_sign, encode_sign
+from arpd.relay.partner import EVERY_S, REPLACED_S
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Callable, Hashable
 
-    from arpd.endpoint.lane import Lane, UnderWay
-    from arpd.relay.flight import Flight
+    from arpd.endpoint.lane import UnderWay
 
 _CHUNK_S = 0.0025  # of the link; samples of one packet wait behind one chunk
 _LEAST_PACKETS, _MOST_PACKETS = 2, 16
 _UNKNOWN_PACKETS = 4
 _COMPANY_PACKETS, _COMPANY_S = 2.0, 0.005  # small messages wait for others: so many packets' time, at most so long
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+_PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
 
 class LinkQueue(PacedQueue):
@@ -42,22 +37,120 @@ class LinkQueue(PacedQueue):
     and acknowledgement would be the larger part. Those that come within the time of two packets wait for each other; a
     message that comes after a pause waits for none.
 
+    Signs of life go past the queue. They carry the receipts of both ends.
+
     Parameters
     ----------
     session : of this process, 32 bit
+    now_s : when it begins (s)
+    together : writes the messages that leave together
+
+    Attributes
+    ----------
     flight : what is on its way
-    coach : lane of the writer of messages that leave together; None = each leaves alone
+    held_s : time in which something waited for receipts: the link takes no more (s)
     """
 
-    def __init__(self, session: int, flight: Flight, coach: Lane | None = None) -> None:
+    def __init__(self, session: int, now_s: float, *, together: Callable[[bytes], None]) -> None:
         super().__init__()
         self._session = session
-        self._flight = flight
-        self._coach = coach
+        self.flight = Flight()
+        self._coach = Lane(together)
         self._departs_s = -math.inf  # when the next messages leave together
         self._share = math.inf  # link time a second, may be spent
         self._was_out = False
+        self._received = Received()
+        self._received_bytes = 0.0  # on the link
+        self._sign_s = self._probe_s = now_s
+        self._is_answering = False  # a probe wants its receipt
+        self._partner = 0  # session of the other end
+        self._partner_s = -math.inf  # when that was heard last
+        self._held_since_s: float | None = None
+        self.held_s = 0.0
         self._adapt(None)
+
+    # -- signs of life and receipts
+
+    def take_sign(self, now_s: float) -> bytes | None:
+        """Return the sign of life that leaves now, None if none is due."""
+        is_probing = self.flight.is_out(now_s) and now_s >= self._probe_s
+        if not (self._is_answering or is_probing or now_s >= min(self._sign_s, self._received.due_s())):
+            return None
+        self._is_answering = False
+        self._sign_s = now_s + EVERY_S
+        number = departed_us = 0
+        if is_probing:
+            is_short = now_s - self.flight.out_s < _PROMPT_S
+            self._probe_s = now_s + (_PROBE_S if is_short else EVERY_S)
+            number, departed_us = self.flight.send(SIGN_BYTES, now_s), int(now_s * 1e6) % WRAP
+        return encode_sign(Sign(self._session, number, departed_us, self._received.take(now_s)))
+
+    @property
+    def sign_s(self) -> float:
+        """When `take_sign` may have something, or the link is out, unless a receipt comes before (s)."""
+        return min(self._sign_s, self._received.due_s(), max(self.flight.out_s, self._probe_s))
+
+    def note_held(self, now_s: float) -> None:
+        """Count the time in which something waits for receipts; called whenever that may change."""
+        if self._held_since_s is not None:
+            self.held_s += now_s - self._held_since_s
+        self._held_since_s = now_s if self._active and not self._has_room() else None
+
+    def follow(self, partner: int, now_s: float) -> bool:
+        """Take the session of the other end, 0 = none; return whether it is new, and knows nothing of what was sent."""
+        if partner == self._partner:
+            return False
+        self._partner, self._partner_s = partner, now_s if partner else -math.inf
+        self.flight.restart()
+        return True
+
+    def arrived(self, sample: bytes, now_s: float, *, is_together: bool = False) -> tuple[Chunk, float]:
+        """Account for a chunk of the other end; return it, and its age (s).
+
+        Parameters
+        ----------
+        is_together : whether it holds small messages, whose writer asks seldom for an acknowledgement
+
+        Raises
+        ------
+        ValueError
+            If the sample holds no chunk.
+        """
+        chunk, size = decode_chunk(sample), len(sample)
+        self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset or is_together else 0.0)[0]
+        if not self._is_of_partner(chunk.session, now_s):
+            return chunk, 0.0
+        return chunk, self._received.note(chunk.session, chunk.number, chunk.departed_us, size, now_s)
+
+    def hear(self, data: bytes, now_s: float) -> int:
+        """Take a sign of life of the other end; return its session.
+
+        Raises
+        ------
+        ValueError
+            If the bytes are none.
+        """
+        sign = decode_sign(data)
+        is_of_partner = self._is_of_partner(sign.session, now_s)
+        if sign.receipt.session == self._session:
+            self.flight.confirm(sign.receipt, now_s)
+        if sign.number and is_of_partner:
+            self._received.note(sign.session, sign.number, sign.departed_us, SIGN_BYTES, now_s)
+            self._is_answering = True
+        return sign.session
+
+    def _is_of_partner(self, session: int, now_s: float) -> bool:
+        """Return whether a process speaks for the other end; another robot's in this domain would spoil the account."""
+        if session == self._partner:
+            self._partner_s = now_s
+        return session == self._partner or now_s - self._partner_s > REPLACED_S
+
+    @property
+    def link_bytes(self) -> int:
+        """What both ends' chunks took of the link."""
+        return self.sent_bytes + int(self._received_bytes)
+
+    # -- what waits
 
     def offer(
         self, lane: Lane, message: bytes, now_s: float, *, source: Hashable = None, expires_s: float = math.inf
@@ -68,12 +161,12 @@ class LinkQueue(PacedQueue):
             lane.withheld[WithheldCause.FAILED.value] += 1
             return
         super().offer(lane, message, now_s, source=source, expires_s=expires_s)
-        if len(message) + PASSENGER_BYTES > _TOGETHER_BYTES:
-            lane.key = None  # for good: a later small one must not overtake it on another writer
+        if len(message) > _TOGETHER_BYTES:
+            lane.has_company = False  # for good: a later small one must not overtake it on another writer
 
     def take(self, now_s: float) -> Ready | None:
         """Return what leaves now; it then counts as sent."""
-        if self._flight.is_out(now_s):
+        if self.flight.is_out(now_s):
             self._was_out = True
         elif self._was_out and self._is_open(now_s):
             self._was_out = False
@@ -81,33 +174,24 @@ class LinkQueue(PacedQueue):
                 each.give_up_old()
         return super().take(now_s)
 
-    @property
-    def is_held_up(self) -> bool:
-        """Whether something waits because enough is on its way."""
-        return bool(self._active) and not self._has_room()
-
     def _is_open(self, now_s: float) -> bool:
-        return self._flight.has_room(is_small=True) and not self._flight.is_out(now_s)
+        return self.flight.has_room(is_small=True) and not self.flight.is_out(now_s)
 
     def _has_room(self) -> bool:
-        return self._flight.has_room(is_small=False)
+        return self.flight.has_room(is_small=False)
 
     def _turn_s(self, lane: Lane, now_s: float) -> float:
         return now_s if lane.current is not None else self._due_s(lane, now_s, in_turn=True)
 
     def _due_s(self, lane: Lane, now_s: float, *, in_turn: bool) -> float:
         due_s = super()._due_s(lane, now_s, in_turn=in_turn)
-        return max(due_s, self._departs_s) if self._rides(lane) else due_s
-
-    def _rides(self, lane: Lane) -> bool:
-        """Return whether its next message leaves together with others."""
-        return self._coach is not None and lane.key is not None and lane.current is None
+        return max(due_s, self._departs_s) if lane.has_company else due_s
 
     def _leave(self, lane: Lane, now_s: float, *, is_first: bool) -> Ready | None:
         """Return the message of a lane, and what leaves together with it; None where all that waited had expired."""
-        if self._coach is None or not self._rides(lane):
+        if not lane.has_company:
             return super()._leave(lane, now_s, is_first=is_first)
-        others = [each for each in self._active if each is not lane and self._rides(each)]
+        others = [each for each in self._active if each is not lane and each.has_company]
         boarding = {lane: is_first, **{each: True for each in others if self._comes_first(each, now_s)}}
         if self._free_s(now_s) <= now_s + SOON_S:
             in_turn = [each for each in others if each not in boarding and self._turn_s(each, now_s) <= now_s]
@@ -116,19 +200,19 @@ class LinkQueue(PacedQueue):
         room = _TOGETHER_BYTES
         self._departs_s = now_s + self._company_s
         for each in boarding:
-            if each.next_bytes + PASSENGER_BYTES > room:
+            if each.next_bytes > room:
                 self._departs_s = now_s
             elif (current := each.begin(now_s)) is None:
                 del self._active[each]
             else:
                 aboard[each] = current.message
-                room -= len(current.message) + PASSENGER_BYTES
+                room -= len(current.message)
         if not aboard:
             return None
-        message = join([(each.key or b"", sample) for each, sample in aboard.items()])
+        message = b"".join(aboard.values())
         number, wire_bytes, packets = self._send(self._coach, message, now_s, asks_every_s=QUICK_HEARTBEAT_S)
         self.sent_bytes += int(wire_bytes)
-        shared = (wire_bytes - sum(map(len, aboard.values()))) / len(aboard)
+        shared = (wire_bytes - len(message)) / len(aboard)
         for each, sample in aboard.items():
             share = Part(sample, len(sample) + shared, packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
@@ -153,11 +237,13 @@ class LinkQueue(PacedQueue):
         """Count a chunk as sent; return its number, and the bytes and packets that it takes of the link."""
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(lane, now_s, asks_every_s)
-        return self._flight.send(int(wire_bytes), now_s), wire_bytes, packets
+        return self.flight.send(int(wire_bytes), now_s), wire_bytes, packets
+
+    # -- the daemon's price
 
     @property
     def _drain_rate(self) -> float:
-        return min(MOST_SHARE, self._share * self._flight.relief)
+        return min(MOST_SHARE, self._share * self.flight.relief)
 
     def _settle(self, now_s: float) -> None:
         if self._is_settled:
@@ -170,7 +256,7 @@ class LinkQueue(PacedQueue):
 
     def _adapt(self, capacity: float | None) -> None:
         """Let a chunk take its time of the link; None = no daemon is heard (bytes/s)."""
-        self._flight.capacity = capacity
+        self.flight.capacity = capacity
         packets = _UNKNOWN_PACKETS if capacity is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         packets = min(max(packets, _LEAST_PACKETS), _MOST_PACKETS)
         self._chunk_bytes = packets * FRAGMENT_BYTES - CHUNK_HEADER_BYTES

@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from arpd.relay.offers import EndState
+    from arpd.relay.ends.offers import EndState
 
 EVERY_S = 1.0  # each end says that often that it lives
-_REPLACED_S = 1.5  # one sign of life missed, and another process speaks for the end
+REPLACED_S = 1.5  # one sign of life missed, and another process speaks for the end
 _SILENT_S = 3.5  # three of them missed
 _GONE_S = 30.0  # an outage of a Wi-Fi link mostly takes less
 
@@ -22,9 +22,9 @@ class Partner:
     """
 
     def __init__(self) -> None:
-        self._heard_s: dict[str, float] = {}  # last sign of life by session
-        self._states: dict[str, EndState] = {}
-        self._session = ""
+        self._heard_s: dict[int, float] = {}  # last sign of life by session
+        self._states: dict[int, EndState] = {}
+        self._session = 0
         self._is_gone = False
 
     @property
@@ -32,7 +32,7 @@ class Partner:
         """Newest state of the session in force, None while it is gone; it may return, and says nothing new then."""
         return None if self._is_gone else self._states.get(self._session)
 
-    def hear(self, session: str, now_s: float, state: EndState | None = None) -> None:
+    def hear(self, session: int, now_s: float, state: EndState | None = None) -> None:
         """Take a sign of life, with or without a state."""
         self._heard_s[session] = now_s
         known = self._states.get(session)
@@ -45,10 +45,10 @@ class Partner:
             if session != self._session:
                 del self._heard_s[session]
                 self._states.pop(session, None)
-        if now_s - self._heard_s.get(self._session, -math.inf) <= _REPLACED_S and self._session in self._states:
+        if now_s - self._heard_s.get(self._session, -math.inf) <= REPLACED_S and self._session in self._states:
             self._is_gone = False
             return
-        heard = [each for each in self._states if now_s - self._heard_s[each] <= _REPLACED_S]
+        heard = [each for each in self._states if now_s - self._heard_s[each] <= REPLACED_S]
         if heard or self._session not in self._states:
             self._session = max(heard, key=lambda each: self._heard_s[each], default=self._session)
         self._is_gone = now_s - self._heard_s.get(self._session, -math.inf) > _GONE_S
@@ -62,5 +62,5 @@ class Partner:
         return sorted(
             state.host
             for session, state in self._states.items()
-            if session != self._session and now_s - self._heard_s[session] <= _REPLACED_S
+            if session != self._session and now_s - self._heard_s[session] <= REPLACED_S
         )

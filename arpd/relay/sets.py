@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING
-
-from arpd.relay.envelope import Record, stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from arpd.relay.envelope import Record
+
+_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 _MOST_BEGUN = 64  # sets that wait for their last sample
 
 
@@ -28,7 +30,7 @@ class Sets:
         self._begun: dict[tuple[int, int], dict[int, Record]] = {}
         self.dropped = 0  # samples of sets that were never complete
 
-    def add(self, record: Record) -> list[Record] | None:
+    def add(self, member: int, record: Record) -> list[Record] | None:
         """Take a sample; return its set, in the order of the group, once the set is complete.
 
         Raises
@@ -36,13 +38,13 @@ class Sets:
         ValueError
             If the sample has no header stamp.
         """
-        if record.member not in self.members:
+        if member not in self.members:
             return None
         stamp = stamp_of(record.sample)
         begun = self._begun.setdefault(stamp, {})
-        if record.member in begun:
+        if member in begun:
             self.dropped += 1  # two samples of one topic with one stamp: the newer one belongs to the set
-        begun[record.member] = record
+        begun[member] = record
         if not self.members <= begun.keys():
             if len(self._begun) > _MOST_BEGUN:
                 self._drop(next(iter(self._begun)))  # the one that was begun first: clocks may go back
@@ -50,7 +52,22 @@ class Sets:
         del self._begun[stamp]
         for older in [other for other in self._begun if other < stamp]:
             self._drop(older)
-        return [begun[member] for member in sorted(self.members)]
+        return [begun[each] for each in sorted(self.members)]
 
     def _drop(self, stamp: tuple[int, int]) -> None:
         self.dropped += len(self._begun.pop(stamp))
+
+
+def stamp_of(sample: bytes) -> tuple[int, int]:
+    """Return the header stamp (s, ns) of a serialized message whose first field is a std_msgs/Header.
+
+    Raises
+    ------
+    ValueError
+        If the sample is too short.
+    """
+    try:
+        seconds, nanoseconds = struct.unpack_from(_ORDER[sample[1]] + "iI", sample, 4)
+    except (KeyError, IndexError, struct.error) as fault:
+        raise ValueError("a sample without a header stamp") from fault
+    return seconds, nanoseconds

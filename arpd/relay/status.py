@@ -9,7 +9,7 @@ from arpd.model.relay import RelaySummary, RelayTopics
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from arpd.relay.offers import EndState
+    from arpd.relay.ends.offers import EndState
 
 MOST_NAMED = 3  # in one part of the line
 

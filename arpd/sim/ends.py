@@ -12,9 +12,9 @@ from arpd.endpoint.lane import Lane
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.wire import HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
-from arpd.relay.envelope import Assembly, Record, key_of, pack, split, unpack
-from arpd.relay.link_end import LinkEnd
-from arpd.relay.signs import SIGN_BYTES
+from arpd.relay.envelope import Assembly, Record, pack, unpack, writer_key
+from arpd.relay.flight import SIGN_BYTES
+from arpd.relay.link_queue import LinkQueue
 from arpd.sim.arrivals import Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
@@ -50,45 +50,44 @@ class SimulatedEnd:
         socket = Socket(timeline, there, room_bytes=math.inf)
         self.route = LinkPath(timeline=timeline, there=there, back=back, socket=socket)
         small = SimulatedWriter(self.route, self, qos=_LINK_QOS, heartbeat_s=QUICK_HEARTBEAT_S)
-        self._end = LinkEnd(session, timeline.now_s, together=small.publish)
-        self._topics: dict[bytes, Callable[[bytes], None]] = {}  # what takes a topic's messages at the other end
+        self._queue = LinkQueue(session, timeline.now_s, together=small.publish)
+        self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self._alarm = Alarm(timeline, self._run)
         self.other: SimulatedEnd = self
 
     @property
     def link_bytes(self) -> int:
         """What both ends' chunks took of the link."""
-        return self._end.link_bytes
+        return self._queue.link_bytes
 
     @property
     def held_s(self) -> float:
         """Time in which something waited for receipts (s)."""
-        return self._end.held_s
+        return self._queue.held_s
 
     def start(self, other: SimulatedEnd) -> None:
         """Begin to speak with the other end."""
         self.other = other
         self._run()
 
-    def add(self, lane: Lane, deliver: Callable[[bytes], None]) -> None:
-        """Serve a lane from now on, whose small messages the function takes at the other end."""
-        self._end.queue.add(lane)
-        if lane.key is not None:
-            self._topics[lane.key] = deliver
+    def add(self, lane: Lane, writer: bytes, deliver: Callable[[Record], None]) -> None:
+        """Serve a lane from now on, whose writer's small samples the function takes at the other end."""
+        self._queue.add(lane)
+        self._writers[writer] = deliver
 
     def offer(self, lane: Lane, message: bytes) -> None:
         """Let a message wait for its turn, which may be now."""
-        self._end.queue.offer(lane, message, self.timeline.now_s)
+        self._queue.offer(lane, message, self.timeline.now_s)
         self._run()
 
     def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
         """Give a lane its plan and the price; None = there is none."""
-        self._end.queue.retune(lane, plan, price)
+        self._queue.retune(lane, plan, price)
         self._run()
 
     def arrived(self, sample: bytes, *, is_together: bool = False) -> Chunk:
         """Account for a chunk of the other end."""
-        chunk, _ = self._end.arrived(sample, self.timeline.now_s, is_together=is_together)
+        chunk, _ = self._queue.arrived(sample, self.timeline.now_s, is_together=is_together)
         self._run()
         return chunk
 
@@ -97,26 +96,26 @@ class SimulatedEnd:
 
     def on_delivery(self, sample: bytes) -> None:
         """Deliver small messages that left together."""
-        for key, message in split(self.other.arrived(sample, is_together=True).part):
-            self._topics[key](message)
+        for record in unpack(self.other.arrived(sample, is_together=True).part):
+            self._writers[record.writer](record)
 
     def hear(self, sign: bytes) -> None:
         """Take a sign of life of the other end."""
-        self._end.follow(self._end.hear(sign, self.timeline.now_s))
+        self._queue.follow(self._queue.hear(sign, self.timeline.now_s), self.timeline.now_s)
         self._run()
 
     def _run(self) -> None:
         now_s = self.timeline.now_s
         while True:
-            if (sign := self._end.take_sign(now_s)) is not None:
+            if (sign := self._queue.take_sign(now_s)) is not None:
                 wire_bytes, packets = wire_size(16 + SIGN_BYTES, rate_hz=math.inf)
                 self._there.send(wire_bytes, packets, partial(self.other.hear, sign))
-            elif (ready := self._end.queue.take(now_s)) is not None:
+            elif (ready := self._queue.take(now_s)) is not None:
                 ready.lane.write(ready.sample)
             else:
                 break
-        self._end.note_held(now_s)
-        if (due_s := min(self._end.sign_s, self._end.queue.due_s(now_s))) < self._alarm.when_s:
+        self._queue.note_held(now_s)
+        if (due_s := min(self._queue.sign_s, self._queue.due_s(now_s))) < self._alarm.when_s:
             self._alarm.set(due_s)
 
 
@@ -141,17 +140,18 @@ class SimulatedLinkTopic:
         self._assembly = Assembly()
         self._counting = Counting(self.arrivals, end.timeline, topic.payload_bytes)
         self._writer = SimulatedWriter(end.route, self, qos=_LINK_QOS, heartbeat_s=HEARTBEAT_S)
-        self._lane = Lane(self._writer.publish, key=key_of(topic.name))
+        self._key = writer_key(topic.name)
+        self._lane = Lane(self._writer.publish, has_company=True)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)
         self._price: Price | None = None
-        end.add(self._lane, self._deliver)
+        end.add(self._lane, self._key, self._deliver)
         self._state = topic.announced(node=node, name=topic.name, depth=_DEPTH)
 
     def publish(self) -> None:
         """Publish the next sample of the source."""
         number = next(self._numbers)
         sample = SAMPLE.pack(number, self._end.timeline.now_s - self._ingress_s) + self._padding
-        self._end.offer(self._lane, pack([Record(0, 1, number + 1, sample)]))
+        self._end.offer(self._lane, pack([Record(self._key, number + 1, sample)]))
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
@@ -179,9 +179,9 @@ class SimulatedLinkTopic:
     def on_delivery(self, sample: bytes) -> None:
         """Put a chunk to its message at the other end; the ghost there publishes what is whole."""
         if (message := self._assembly.add(self._end.other.arrived(sample))) is not None:
-            self._deliver(message)
+            for record in unpack(message):
+                self._deliver(record)
 
-    def _deliver(self, message: bytes) -> None:
-        for record in unpack(message):
-            self._counting.on_arrival(record.sample)
-            self._counting.on_delivery(record.sample)
+    def _deliver(self, record: Record) -> None:
+        self._counting.on_arrival(record.sample)
+        self._counting.on_delivery(record.sample)

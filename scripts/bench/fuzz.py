@@ -26,7 +26,7 @@ READERS = {
     "price": ("ros.test_octets", "test_any_bytes_are_refused_or_read"),
     "chunk": ("relay.test_envelope", "test_any_bytes_are_a_chunk_or_refused"),
     "call": ("relay.test_calls", "test_random_bytes_raise_nothing_else"),
-    "sign": ("relay.test_signs", "test_another_version_or_length_is_refused"),
+    "sign": ("relay.test_flight", "test_another_version_or_length_is_refused"),
     "discovery": ("host.test_discovery", "test_no_packet_raises"),
     "credentials": ("web.test_guard", "test_credentials_come_back_as_they_went_and_noise_does_no_harm"),
 }

@@ -12,9 +12,9 @@ from pathlib import Path
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 
+from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.envelope import wrap
-from arpd.relay.offers import EndState, decode_state, encode_state
-from arpd.relay.signs import Sign, encode_sign
+from arpd.relay.flight import Sign, encode_sign
 from arpd.ros.graph_view import GraphView
 from tests.ros.conftest import Ros
 from tests.ros.domain import DOMAIN
@@ -108,7 +108,7 @@ class Stranger:
         self._signs = node.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
         self._states = node.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
         link_gids = GraphView.of(node).own.participant.hex()
-        told = EndState(session=f"{self.session:016x}", serial=1, link_gids=link_gids, **state)
+        told = EndState(session=self.session, serial=1, link_gids=link_gids, **state)
         self._states.publish(wrap(encode_state(told)))
 
     @property

@@ -29,9 +29,9 @@ from arpd.relay.ends import calls as calls_module
 from arpd.relay.ends import services as services_module
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
+from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer
 from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
-from arpd.relay.offers import ServiceOffer
 from arpd.relay.selection import Side
 from arpd.ros.raw_reader import ReadingThread
 from arpd.ros.runtime import prepare_environment
@@ -52,11 +52,6 @@ class Wire:
         self._random = random.Random(1)
         self._held = []
         self.loss = 0.0
-        self.destroy = lambda: None
-
-    def reader(self, deliver):
-        self._deliver = deliver
-        return self
 
     def send(self, record, _source):
         for _ in range(1 + (self._random.random() < self.loss)):
@@ -65,7 +60,7 @@ class Wire:
         if self._random.random() >= self.loss:
             while self._held:
                 with suppress(OSError):  # its end is restarting
-                    self._end.other.wire._deliver(self._end.session, self._held.pop(0))
+                    self._end.other.calls.arrived(self._end.session, self._held.pop(0))
 
 
 class End:
@@ -86,7 +81,7 @@ class End:
         self.calls = Calls(
             self.node,
             self._nodes,
-            self.wire,
+            self.wire.send,
             session=self.session,
             side=Side.of(RelaySettings(**{**allowed, **settings}), is_far=is_far),
             timeout_s=timeout_s,
@@ -281,7 +276,7 @@ def test_what_comes_from_the_link_waits_for_no_node_here(world, monkeypatch):
     monkeypatch.setattr(world.robot.calls._caller, "receive", lambda *_record: (is_waiting.set(), gate.wait()))
     record = encode_record(Record(Kind.WAITING, world.robot.session, 1))
     for _ in range(2):
-        taking = threading.Thread(target=world.robot.wire._deliver, args=(world.base.session, record), daemon=True)
+        taking = threading.Thread(target=world.robot.calls.arrived, args=(world.base.session, record), daemon=True)
         taking.start()
         taking.join(5.0)
         assert not taking.is_alive()

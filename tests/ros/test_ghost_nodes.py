@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from arpd.endpoint.writer_swap import SwapState
 from arpd.model.endpoints import WriterQos
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
+from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.envelope import Record
-from arpd.relay.offers import WriterOffer
 from arpd.ros.graph import deadline_ns_of
 
 TOPIC = "/ghostly"
@@ -48,7 +48,7 @@ class Ghost:
     """A ghost writer that is stepped ten times a second, and writes a hundred samples in that time if it is told to."""
 
     def __init__(self, node, **offer):
-        self.writer = GhostWriter(node, String, TOPIC, WriterOffer(number=0, node="", gid="", **offer), depth=10)
+        self.writer = GhostWriter(node, String, TOPIC, WriterOffer(node="", gid="", **offer), depth=10)
         self.node, self.written, self.is_writing, self.most_held = node, 0, False, 0
         self.is_reachable = True
         self.lock = threading.Lock()  # as that of `Incoming`
@@ -59,7 +59,7 @@ class Ghost:
                 if self.is_writing:
                     self.written += 1
                     sample = serialize_message(String(data=str(self.written)))
-                    self.writer.write(Record(0, 0, self.written, sample))
+                    self.writer.write(Record(b"", self.written, sample))
                 self.most_held = max(self.most_held, self.held)
 
     def step(self, stopping):
@@ -71,7 +71,7 @@ class Ghost:
 
     def plan(self, **planned):
         with self.lock:
-            self.writer.retune(WriterQos(**planned))
+            self.writer.follow(self.writer.offer, WriterQos(**planned))
 
     @property
     def qos(self):

@@ -125,22 +125,23 @@ def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
     assert courses == [("", 0), ("String", 1), ("String", 1), ("Empty", 1)]
 
 
-def test_a_writer_keeps_its_number_and_leaves_it_half_a_minute_after_it_left():
+def test_a_writer_is_known_for_half_a_minute_after_it_left():
     """However long it was there; one without a node is offered after two seconds, and stays."""
     surveyed = Surveyed()
     first, second = (Endpoint(gid=bytes([n] * 16)) for n in (1, 2))
     nameless = Endpoint(gid=bytes(16), is_named=False)
 
-    def numbers_at(now_s, *writers):
+    def offered_at(now_s, *writers):
         surveyed.read(writers, now_s)
-        return [surveyed.writers[gid].number for writer in writers if (gid := writer.gid.hex()) in surveyed.writers]
+        return [writer for writer in (first, second, nameless) if writer.gid.hex() in surveyed.writers]
 
-    assert numbers_at(0.0, first) == [0]
-    assert numbers_at(100.0, second) == [1]
-    assert first.gid.hex() in surveyed.known
-    assert (numbers_at(131.0, second, nameless), surveyed.is_waiting) == ([1], True)
-    assert (numbers_at(133.0, second, nameless), surveyed.is_waiting) == ([1, 0], False)
-    assert numbers_at(134.0, nameless) == [0]
+    assert offered_at(0.0, first) == [first]
+    assert offered_at(100.0, second) == [second]
+    assert first.gid in surveyed.known
+    assert (offered_at(131.0, second, nameless), surveyed.is_waiting) == ([second], True)
+    assert first.gid not in surveyed.known
+    assert (offered_at(133.0, second, nameless), surveyed.is_waiting) == ([second, nameless], False)
+    assert offered_at(134.0, nameless) == [nameless]
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, background, eventually):

@@ -17,8 +17,8 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import GraphSettings
-from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack
-from arpd.relay.offers import ServiceOffer, TopicOffer, WriterOffer, decode_state
+from arpd.relay.ends.offers import ServiceOffer, TopicOffer, WriterOffer, decode_state
+from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, writer_key
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import RELIABLE, ROBOT, Counter, Stranger, TwoEnds, is_whole, latched, listen, numbers
@@ -324,10 +324,10 @@ def test_without_its_other_end_an_end_waits(world, eventually):
 
 def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     """An end that speaks another version is named with both versions, and nothing crosses."""
-    monkeypatch.setattr("arpd.relay.offers.VERSION", 9)
+    monkeypatch.setattr("arpd.relay.ends.offers.VERSION", 9)
     ends = world().start("robot")
     Stranger(ends.link_side().node("stranger"), arpd="9.9")
-    words = "it speaks version 9 (arpd 9.9), this end version 5"
+    words = "it speaks version 9 (arpd 9.9), this end version 6"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 
@@ -339,7 +339,7 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
     topics = {
         name: TopicOffer(
             type_name="std_msgs/msg/String",
-            writers=(WriterOffer(number=0, node="/planner", gid="00" * 16, lifespan_ns=lifespan_ns),),
+            writers=(WriterOffer(node="/planner", gid=name.encode().ljust(16).hex(), lifespan_ns=lifespan_ns),),
             link_name=name,
         )
         for name, lifespan_ns in lifespans_ns.items()
@@ -350,9 +350,10 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
     chunks = count(1)
 
     def send(text, late_s):
-        for writer in writers.values():
+        for name, writer in writers.items():
             number = next(chunks)
-            part = pack([Record(0, 0, number, bytes(serialize_message(String(data=text))))])
+            key = writer_key(topics[name].writers[0].gid)
+            part = pack([Record(key, number, bytes(serialize_message(String(data=text))))])
             departed_us = int((time.monotonic() - late_s) * 1e6) % WRAP
             writer.publish(
                 encode_chunk(
@@ -382,7 +383,7 @@ def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
     offered = eventually("the end tells what it offers", lambda: told and decode_state(bytes(told[-1])).topics)
     same = offered["/chatter"].type_hash
     assert same.startswith("RIHS01_")
-    writer = WriterOffer(number=0, node="/planner", gid="00" * 16)
+    writer = WriterOffer(node="/planner", gid="00" * 16)
     topics = {
         name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))

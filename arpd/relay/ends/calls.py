@@ -13,9 +13,9 @@ from rclpy.exceptions import InvalidServiceNameException, NameValidationExceptio
 from rclpy.serialization import deserialize_message, serialize_message
 
 from arpd.relay.calls import Callee, Caller, CallFailure, FailureReason, Request, decode_record
+from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, service_class
-from arpd.relay.offers import ServiceOffer
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
 from arpd.ros.rate_limits import OncePerMinute
@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.calls import CallId, Outcome
+    from arpd.relay.calls import CallId, Outcome, Send
     from arpd.relay.ends.ghosts import GhostNodes
-    from arpd.relay.ends.link_reader import CallLink
     from arpd.relay.selection import Side
     from arpd.ros.graph import Endpoint
 
@@ -52,7 +51,7 @@ class Calls:
     ----------
     node : this end's node in the local domain
     nodes : ghosts of the other side's nodes
-    link : carries the records
+    send : writes one record to the link
     session : of this process, 32 bit
     side : names on this side
     timeout_s : time after which a call without an answer has failed; the result of an action may take any time (s)
@@ -71,7 +70,7 @@ class Calls:
         self,
         node: Node,
         nodes: GhostNodes,
-        link: CallLink,
+        send: Send,
         *,
         session: int,
         side: Side,
@@ -91,14 +90,12 @@ class Calls:
         self.offers: Mapping[str, ServiceOffer] = {}
         self.refused: Mapping[str, str] = {}
         self.failures: Counter[str] = Counter()
-        self._caller = Caller(send=link.send)
-        self._callee = Callee(send=link.send, run=self._run, stop=self._stop)
+        self._caller = Caller(send=send)
+        self._callee = Callee(send=send, run=self._run, stop=self._stop)
         self.thread = ReadingThread(step=self._step, clock=clock)
-        self._reader = link.reader(self._arrive)
 
     def close(self) -> None:
         """Fail the calls that are under way, and remove all servers and clients."""
-        self._reader.destroy()
         self.thread.stop()
         self._follow({}, None)
         while self._clients:
@@ -151,7 +148,8 @@ class Calls:
         node = self._side.robot_name(first.node) or first.node
         return ServiceOffer(type_name=_ros_type(first.type_name), node=node)
 
-    def _arrive(self, sender: int, data: bytes) -> None:
+    def arrived(self, sender: int, data: bytes) -> None:
+        """Take a record of the other end later, in the own thread; the sender is its session."""
         self._arrived.append((sender, data))
         self.thread.wake()
 

@@ -14,20 +14,22 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd import __version__
+from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.relay import RelaySummary
 from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link_reader import CallLink, LinkReader
+from arpd.relay.ends.link_reader import LINK_QOS, LinkReader
 from arpd.relay.ends.link_thread import LinkThread
 from arpd.relay.ends.link_topic import LinkOutgoing
+from arpd.relay.ends.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.survey import Survey
-from arpd.relay.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line, topics_of
+from arpd.ros.events import no_publisher_events
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
 from arpd.ros.rcl import rcl
@@ -43,10 +45,12 @@ log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain
 _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
+_PARTICIPANT = 24  # digits of a GUID that name its process
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_SMALL = QoSProfile(depth=1000)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+#: In the place of a state while there is no other end.
+NOBODY = EndState(session=0, serial=0)
 
 
 class End:
@@ -58,7 +62,7 @@ class End:
     settings : the relay's settings, the same on both ends
     is_far : whether this is the base computer's end
     host : name of this host
-    session : number of this process, 32 random bits
+    session : of this process, 32 random bits, not 0
     on_change : called with the status line at the start and whenever it changes
     """
 
@@ -74,42 +78,46 @@ class End:
         on_change: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._settings = settings
-        self._is_far = is_far
-        self._host = host
-        self._on_change = on_change
-        self._clock = clock
+        self._settings, self._is_far, self._on_change, self._clock = settings, is_far, on_change, clock
+        self._node, self._link_node = node, link_node
         self._side = Side.of(settings, is_far=is_far)
-        self._view = GraphView.of(node)
-        self._own_gids = self._view.own.participant.hex()
+        self._view, self._link_view = GraphView.of(node), GraphView.of(link_node)
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
-        self._link_view = GraphView.of(link_node)
         self._partner = Partner()
-        self._partner_session = ""
+        self._there = NOBODY  # the other end's state that this end follows
         self._fault = ""  # of the other end's messages
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._offers: dict[str, TopicOffer] = {}
         self._plans: dict[str, tuple[int, int]] = {}  # DEPTH and DEADLINE that it tells, by the name on the link
         self._plans_s = 0.0  # when it may tell others
-        self._offered_to_us: Mapping[str, TopicOffer] = {}
         self._refused: dict[str, str] = {}
         self._differ: dict[str, str] = {}  # topics whose type differs between the sides
-        self._told = EndState(session=f"{session:016x}", serial=0)
-        self._begun_s = self._look_s = clock()
-        role, other = ("base", "robot") if is_far else ("robot", "base")
-        self._states, small, signs = (
-            link_node.create_publisher(UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos)
-            for ending, qos in (("", _LATCHED), ("/small", _SMALL), ("/alive", _ALIVE))
+        self._told = EndState(
+            session=session,
+            serial=0,
+            host=host,
+            arpd=__version__,
+            link_gids=self._link_view.own.participant.hex(),
+            local_gids=self._view.own.participant.hex(),
         )
-        sign, together = (rcl().outlet(publisher.handle).publish for publisher in (signs, small))
-        self.link = LinkThread(session, sign=sign, together=together, clock=clock)
+        self._begun_s = self._look_s = clock()
+        self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
+        role, other = ("base", "robot") if is_far else ("robot", "base")
+        states, small, signs, calls = (
+            rcl().outlet(
+                link_node.create_publisher(
+                    UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
+                ).handle
+            )
+            for ending, qos in (("", _LATCHED), ("/small", LINK_QOS), ("/alive", _ALIVE), ("/calls", LINK_QOS))
+        )
+        self.link = LinkThread(session, state=states.publish, sign=signs.publish, together=small.publish, clock=clock)
         # Two threads, so that what comes from the link does not wait for the nodes here; calls have a third.
         self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
         self._nodes = GhostNodes(node)
-        self._link_node = link_node
-        self.survey = Survey(node, is_of_interest=self._is_of_interest)
+        self.survey = Survey(node, is_of_interest=self._is_of_interest, clock=clock)
         self.incoming = Incoming(
             link_node=link_node,
             nodes=self._nodes,
@@ -129,34 +137,32 @@ class End:
             settings=settings,
             clock=clock,
         )
-        topics = {"own": f"/arpd/relay/{role}/calls", "other": f"/arpd/relay/{other}/calls"}
-        calls = CallLink(link_node, self.link, self.incoming_thread, **topics)
+        # A topic of weight 1 in the paced queue, of which none is dropped.
+        self._call_lane = Lane(calls.publish, is_kept=True)
+        self.link.add(self._call_lane)
         self._calls = Calls(
             node,
             self._nodes,
-            calls,
+            self._send_call,
             session=session,
             side=self._side,
             timeout_s=settings.call_timeout_s,
             clock=clock,
         )
         reader = partial(RawReader, link_node, UInt8MultiArray, thread=self.incoming_thread)
+        chunks = partial(LinkReader, link_node, link=self.link, thread=self.incoming_thread, clock=clock)
         self._readers: list[RawReader | LinkReader] = [
             reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
-            LinkReader(
-                link_node,
-                f"/arpd/relay/{other}/small",
-                link=self.link,
-                thread=self.incoming_thread,
-                deliver=self.incoming.deliver_together,
-                is_together=True,
+            chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
+            chunks(
+                f"/arpd/relay/{other}/calls",
+                deliver=lambda record, chunk, _age_s: self._calls.arrived(chunk.session, record),
             ),
         ]
         publishing = NodePublishers.of(link_node).thread
         #: None may hang.
         self.threads = (publishing, self.link, self.outgoing_thread, self.incoming_thread, self._calls.thread)
-        self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         self.link.start()
 
     def close(self) -> None:
@@ -174,7 +180,7 @@ class End:
 
     def _is_of_interest(self, local: str) -> bool:
         name = self._side.robot_name(local)
-        return name is not None and (name in self._offered_to_us or self._side.may_leave(name))
+        return name is not None and (name in self._there.topics or self._side.may_leave(name))
 
     # -- one tick
 
@@ -200,7 +206,7 @@ class End:
         while self._arrived:
             arrived = self._arrived.popleft()
             if isinstance(arrived, int):
-                self._partner.hear(f"{arrived:016x}", now_s)
+                self._partner.hear(arrived, now_s)
                 continue
             try:
                 state = decode_state(octets(arrived))
@@ -217,39 +223,29 @@ class End:
     def _follow(self, now_s: float) -> None:
         """Do what the newest state of the other end asks."""
         self._partner.look(now_s)
-        state = self._partner.state
+        before, self._there = self._there, self._partner.state or NOBODY
+        state = self._there
         # In one domain, its ghosts would be in this graph, too.
-        self._is_shared = state is not None and state.local_gids in {each.hex() for each in self._view.participants}
-        if state is None or self._is_shared or not self._partner.is_reachable(now_s):
+        self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
+        if self._is_shared or not self._partner.is_reachable(now_s):
             self._calls.offered = {}, None  # calls fail at once; topics bridge an outage
         else:
-            self._calls.offered = state.services, int(state.session, 16) & 0xFFFFFFFF
-        if state is None:
-            if self._partner_session:
-                self._partner_session = ""
-                self.link.follow(0)
+            self._calls.offered = state.services, state.session
+        if state.session != before.session:
+            self.link.follow(state.session)
+            if state is NOBODY:
                 self.outgoing.forget()
-                self._offered_to_us = {}
-                self._refused, self._differ = {}, {}
-            self.incoming.follow({}, session=0)
-            return
-        if state.session != self._partner_session:
-            self._partner_session = state.session
-            self.link.follow(int(state.session, 16))
-            self.outgoing.meet(state.link_gids)
-            log.info("the other end is %s (arpd %s), session %s", state.host, state.arpd, state.session)
-        self._offered_to_us = state.topics
-        accepted = {}
-        refused = {}
+            else:
+                self.outgoing.meet(state.link_gids)
+                log.info("the other end is %s (arpd %s), session %08x", state.host, state.arpd, state.session)
+        accepted, refused = {}, {}
         announced = self._announced.recent()
         for name, offer in state.topics.items():
-            if self._is_shared:
-                refused[name] = "both ends are in one ROS domain"
-            elif reason := self._reason_against(name, offer, announced):
+            if reason := self._reason_against(name, offer, announced):
                 refused[name] = reason
             else:
                 accepted[name] = offer
-        self.incoming.follow(accepted, session=int(state.session, 16) & 0xFFFFFFFF, refused=refused)
+        self.incoming.follow(accepted, refused=refused)
         self.outgoing.follow(frozenset() if self._is_shared else state.wants, self._offers)
         self._note_other_types(accepted)
         self._note_refusals(
@@ -258,11 +254,13 @@ class End:
 
     def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
+        if self._is_shared:
+            return "both ends are in one ROS domain"
         if not self._side.may_enter(name):
             return "the configuration of this end does not let it in; give both ends one file"
         here = self.survey.gids(self._side.local_name(name))
         for writer in offer.writers:
-            if writer.gid in here or writer.gid[: len(self._own_gids)] in announced:
+            if writer.gid in here or writer.gid[:_PARTICIPANT] in announced:
                 return (
                     f"{writer.node} of the other side is visible in this domain without the relay; give the two sides "
                     "different ROS_DOMAIN_IDs, or its nodes ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
@@ -294,13 +292,12 @@ class End:
         for local, surveyed in self.survey.topics.items():
             name = self._side.robot_name(local)
             if name is not None and surveyed.writers and self._side.may_leave(name):
-                link_name, member = self.outgoing.names.of(name)
+                link_name = self.outgoing.link_name(name)
                 depth, deadline_ns = self._plans.get(link_name, (0, 0))
                 offers[name] = TopicOffer(
                     type_name=surveyed.type_name,
                     writers=self.outgoing.living(name, surveyed.writers.values()),
                     link_name=link_name,
-                    member=member,
                     type_hash=surveyed.type_hash,
                     planned_depth=depth,
                     planned_deadline_ns=deadline_ns,
@@ -309,21 +306,24 @@ class End:
 
     def _tell(self) -> None:
         """Send this end's state if it has changed."""
-        state = EndState(
-            session=self._told.session,
-            serial=self._told.serial,
-            host=self._host,
-            arpd=__version__,
+        state = replace(
+            self._told,
             topics=self._offers,
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
-            link_gids=self._link_view.own.participant.hex(),
-            local_gids=self._own_gids,
         )
-        if state != self._told:
+        if state != self._told or not state.serial:
             self._told = state = replace(state, serial=state.serial + 1)
-            self.link.send(rcl().outlet(self._states.handle).publish, encode_state(state))
+            self.link.tell(encode_state(state))
+
+    def _send_call(self, record: bytes, source: int) -> None:
+        """Let a record wait for its turn, in the place of one of this source; a large one on its way is not repeated.
+
+        Calls repeat themselves once a second, and a large answer takes longer.
+        """
+        if len(record) <= SMALL_BYTES or not self.link.is_sending(self._call_lane, source):
+            self.link.offer(self._call_lane, record, source=source)
 
     # -- status
 
@@ -346,7 +346,7 @@ class End:
                 told.hurry()
 
     def _summary(self, now_s: float) -> RelaySummary:
-        here, there = replace(self._told, refused=self._refused), self._partner.state or EndState(session="", serial=0)
+        here, there = replace(self._told, refused=self._refused), self._partner.state or NOBODY
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,

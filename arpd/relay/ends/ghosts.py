@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from arpd.relay.ends.offers import WriterOffer
     from arpd.relay.envelope import Record
-    from arpd.relay.offers import WriterOffer
 
 log = logging.getLogger(__name__)
 _MATCH_S = 0.5  # a reader on this host finds a new writer sooner
@@ -68,7 +68,21 @@ class GhostNodes:
             return self._node
         with self._lock:
             self._kept.setdefault(owner, set()).add(name)
-            return self._of(name)
+            if name not in self._ghosts:
+                namespace, _, base = name.rpartition("/")
+                try:
+                    self._ghosts[name] = rclpy.create_node(
+                        base,
+                        namespace=namespace or "/",
+                        context=self._node.context,
+                        use_global_arguments=False,
+                        enable_rosout=False,
+                        start_parameter_services=False,
+                        parameter_overrides=[_NO_TYPE_DESCRIPTION],
+                    )
+                except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
+                    return self._node
+            return self._ghosts[name]
 
     def keep(self, owner: str, names: set[str]) -> None:
         """Destroy the ghosts that no owner keeps; the caller has destroyed their endpoints.
@@ -88,23 +102,6 @@ class GhostNodes:
         with self._lock:
             while self._ghosts:
                 self._ghosts.popitem()[1].destroy_node()
-
-    def _of(self, name: str) -> Node:
-        if name not in self._ghosts:
-            namespace, _, base = name.rpartition("/")
-            try:
-                self._ghosts[name] = rclpy.create_node(
-                    base,
-                    namespace=namespace or "/",
-                    context=self._node.context,
-                    use_global_arguments=False,
-                    enable_rosout=False,
-                    start_parameter_services=False,
-                    parameter_overrides=[_NO_TYPE_DESCRIPTION],
-                )
-            except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
-                return self._node
-        return self._ghosts[name]
 
 
 class GhostWriter:
@@ -155,6 +152,7 @@ class GhostWriter:
         self._is_found = False
         self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
         self._last = 0  # number of the newest sample
+        self.gone_s = math.inf  # when the original was missed first
 
     def matched(self) -> int:
         """Count its readers."""
@@ -174,8 +172,10 @@ class GhostWriter:
         self._release(_PER_WRITE)
         return True
 
-    def retune(self, planned: WriterQos) -> None:
-        """Take the plan's depth and deadline; `swap` follows at ``due_s``."""
+    def follow(self, offer: WriterOffer, planned: WriterQos) -> None:
+        """Take what is told of the original, and the plan's depth and deadline; `swap` follows at ``due_s``."""
+        # It may be alive now. The ghost stays in its node, whatever an end that has just started calls that.
+        self.offer, self.gone_s = replace(offer, node=self.offer.node), math.inf
         if planned != self._planned and not self.offer.is_latched:
             self._planned, self.due_s = planned, self._clock()
 

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from rclpy.exceptions import NameValidationException
 
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
-from arpd.relay.depths import BULK_BYTES, held_depth
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.link_reader import LinkReader
-from arpd.relay.ends.types import UnknownTypeError, definition_hash, expected_bytes, message_class
-from arpd.relay.envelope import Chunk, Record, key_of, split, unpack
+from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
+from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.relay.ends.link_thread import LinkThread
-    from arpd.relay.offers import TopicOffer
+    from arpd.relay.ends.offers import TopicOffer, WriterOffer
     from arpd.relay.selection import Side
     from arpd.ros.raw_reader import ReadingThread
 
@@ -33,7 +33,7 @@ _OWNER = "topics"  # of ghost nodes
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
 # Samples of a writer that is gone may still be on their way, and an end that restarts knows no writer at first.
 _GRACE_S = 5.0
-_MOST_HELD = 1000
+_MOST_HELD = 5000
 _HELD_S = 3.0
 _OLD_S = 0.5  # on its way beyond the usual: an outage lay between
 _NEWER_S = 0.3  # what an outage delayed comes within that; the newest sample of each source is delivered
@@ -41,24 +41,13 @@ _HASH = 15  # characters that tell two hashes apart
 _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
 
 
-class _Held(NamedTuple):
-    session: int
-    record: Record
-    at_s: float
-
-
+@dataclass(slots=True)
 class _Topic:
-    """One topic that the other side offers."""
+    """One topic that the other side offers; its ghosts by the GUIDs of their originals."""
 
-    def __init__(self, name: str, offer: TopicOffer) -> None:
-        self.name = name
-        self.offer = offer
-        self.ghosts: dict[str, GhostWriter] = {}  # by the GUID of the original
-        self.by_number: dict[int, GhostWriter] = {}  # by its number in the session in force
-        self.gone_s: dict[str, float] = {}  # when an original was missed first
-        self.held: deque[_Held] = deque(maxlen=_MOST_HELD)  # samples of writers that no state has named yet
-        self.old: dict[int, tuple[Record, float]] = {}  # by writer: an old sample, and until when a newer one may come
-        self.read_s = float("-inf")  # when somebody read it last
+    offer: TopicOffer
+    ghosts: dict[str, GhostWriter] = field(default_factory=dict)
+    read_s: float = -math.inf  # when somebody read it last
 
 
 class Incoming:
@@ -72,6 +61,12 @@ class Incoming:
     link : accounts for the chunks
     side : names on this side
     depths : least KEEP_LAST depth of ghosts, by topic
+
+    Attributes
+    ----------
+    refused : topics that cannot be carried, and why
+    wants : topics that somebody reads here
+    received, doubled, unknown, outdated : samples, as `RelaySummary` has them
     """
 
     def __init__(
@@ -85,149 +80,129 @@ class Incoming:
         depths: Mapping[str, int],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link_node = link_node
-        self._nodes = nodes
-        self._thread = thread
-        self._link = link
-        self._side = side
-        self._depths = depths
-        self._clock = clock
+        self._link_node, self._nodes, self._thread, self._link = link_node, nodes, thread, link
+        self._side, self._depths, self._clock = side, depths, clock
         self._lock = threading.Lock()  # guards the topics: samples come in the reading thread
-        self._session = 0
         self._topics: dict[str, _Topic] = {}
-        self._members: dict[tuple[str, int], _Topic] = {}
-        self._by_key: dict[bytes, str] = {}  # names on the link, by what stands for them
+        self._ghosts: dict[bytes, GhostWriter] = {}  # by what stands for their originals in samples
+        self._held: deque[tuple[Record, float]] = deque(maxlen=_MOST_HELD)  # of writers that no state has named yet
+        self._late: dict[bytes, tuple[Record, float]] = {}  # by writer: the last, and until when a newer one may come
         self._readers: dict[str, LinkReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
-        self.received = 0
-        self.doubled = 0
-        self.unknown = 0
-        self.outdated = 0
+        self.received = self.doubled = self.unknown = self.outdated = 0
 
-    def follow(self, offers: Mapping[str, TopicOffer], *, session: int, refused: Collection[str] = frozenset()) -> None:
+    def follow(self, offers: Mapping[str, TopicOffer], *, refused: Collection[str] = frozenset()) -> None:
         """Make the ghosts of what is offered now, and remove those of what no longer is.
 
         Parameters
         ----------
         offers : topics of the other side that enter here
-        session : of the other end, 32 bit
         refused : topics that do not enter; their ghosts go at once, because a reader would hear samples twice
         """
         now_s = self._clock()
         with self._lock:
-            self._session = session
             self.refused = {}
             for name in self._topics.keys() & set(refused):
-                self._drop(self._topics[name])
+                self._drop(name)
             for name, offer in offers.items():
                 try:
                     self._follow(name, offer)
                 except (UnknownTypeError, NameValidationException, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
-            self._by_key = {key_of(topic.offer.link_name): topic.offer.link_name for topic in self._topics.values()}
-            self._members = {(topic.offer.link_name, topic.offer.member): topic for topic in self._topics.values()}
             for name, topic in list(self._topics.items()):
                 present = {writer.gid for writer in offers[name].writers} if name in offers else set()
-                self._retire(topic, present, now_s)
-                self._write_held(topic, now_s)
+                for gid in topic.ghosts.keys() - present:
+                    topic.ghosts[gid].gone_s = min(topic.ghosts[gid].gone_s, now_s)
+            self._retire(now_s)
+            self._write_held(now_s)
 
     def step(self, *, is_reachable: bool) -> None:
         """Look for readers, and open or close what they need."""
         now_s = self._clock()
         wants, links = set(), set()
         with self._lock:
-            for topic in list(self._topics.values()):
+            for name, topic in self._topics.items():
                 for ghost in topic.ghosts.values():
                     ghost.step(is_reachable=is_reachable)
-                if any(ghost.matched() for ghost in topic.ghosts.values()):
-                    topic.read_s = now_s
+                    if ghost.matched():
+                        topic.read_s = now_s
                 if now_s - topic.read_s < _LINGER_S:
-                    wants.add(topic.name)
+                    wants.add(name)
                     links.add(topic.offer.link_name)
-                for writer, (record, until_s) in list(topic.old.items()):
-                    if now_s >= until_s:
-                        self._write(topic, record)
-                        topic.old.pop(writer, None)
-                if topic.gone_s:
-                    self._retire(topic, topic.ghosts.keys() - topic.gone_s.keys(), now_s)
-            ghosts = [ghost for topic in self._topics.values() for ghost in topic.ghosts.values()]
-            swap_some(ghosts, now_s)
-            writers = [ghost.offer for ghost in ghosts]
-        self._nodes.keep(_OWNER, {self._side.local_name(writer.node) for writer in writers})
+            for writer in [writer for writer, (_, until_s) in self._late.items() if now_s >= until_s]:
+                self._write(self._late.pop(writer)[0])
+            self._retire(now_s)
+            swap_some(self._ghosts.values(), now_s)
+            nodes = {self._side.local_name(ghost.offer.node) for ghost in self._ghosts.values()}
+        self._nodes.keep(_OWNER, nodes)
         for name in links - self._readers.keys():
-            self._readers[name] = self._reader(name)
+            self._readers[name] = LinkReader(
+                self._link_node, name, link=self._link, thread=self._thread, deliver=self.deliver, clock=self._clock
+            )
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
         self.wants = frozenset(wants)
 
-    def deliver_together(self, message: bytes, chunk: Chunk, age_s: float) -> None:
-        """Write small samples of several topics that left together; ValueError = they are none."""
-        for key, found in [(key, unpack(part)) for key, part in split(message)]:
-            self._take(self._by_key.get(key, ""), found, chunk, age_s)
+    def deliver(self, message: bytes, chunk: Chunk, age_s: float) -> None:
+        """Write the samples of a message; ValueError = it has none."""
+        now_s, is_late = self._clock(), age_s > _OLD_S and not chunk.is_kept
+        with self._lock:
+            for record in unpack(message):
+                if (ghost := self._ghosts.get(record.writer)) is None:
+                    self._held.append((record, now_s))
+                elif 0 < ghost.offer.lifespan_ns < age_s * 1e9:
+                    self.outdated += 1
+                else:
+                    self.outdated += self._late.pop(record.writer, None) is not None
+                    if is_late:
+                        self._late[record.writer] = record, now_s + _NEWER_S
+                    else:
+                        self._write(record)
 
     def close(self) -> None:
         """Destroy everything."""
         for reader in self._readers.values():
             reader.destroy()
         with self._lock:
-            for topic in self._topics.values():
-                for ghost in topic.ghosts.values():
-                    ghost.destroy()
+            for name in [*self._topics]:
+                self._drop(name)
 
-    def _reader(self, link_name: str) -> LinkReader:
-        def deliver(message: bytes, chunk: Chunk, age_s: float) -> None:
-            self._take(link_name, unpack(message), chunk, age_s)
-
-        return LinkReader(self._link_node, link_name, link=self._link, thread=self._thread, deliver=deliver)
-
-    def _take(self, link_name: str, records: list[Record], chunk: Chunk, age_s: float) -> None:
-        is_old = age_s > _OLD_S and not chunk.is_kept
-        with self._lock:
-            for record in records:
-                topic = self._members.get((link_name, record.member))
-                if topic is None:
-                    self.unknown += 1
-                elif chunk.session != self._session or record.writer not in topic.by_number:
-                    topic.held.append(_Held(chunk.session, record, self._clock()))
-                elif 0 < topic.by_number[record.writer].offer.lifespan_ns < age_s * 1e9:
-                    self.outdated += 1
-                else:
-                    self.outdated += topic.old.pop(record.writer, None) is not None
-                    if is_old:
-                        topic.old[record.writer] = record, self._clock() + _NEWER_S
-                    else:
-                        self._write(topic, record)
-
-    def _write(self, topic: _Topic, record: Record) -> None:
-        ghost = topic.by_number.get(record.writer)
+    def _write(self, record: Record) -> None:
+        ghost = self._ghosts.get(record.writer)
         if ghost is not None and ghost.write(record):
             self.received += 1
         else:
             self.doubled += 1
 
+    def _write_held(self, now_s: float) -> None:
+        """Write the samples of writers that are known now; forget those that stay unknown."""
+        for _ in range(len(self._held)):
+            record, at_s = self._held.popleft()
+            if record.writer in self._ghosts:
+                self._write(record)
+            elif now_s - at_s < _HELD_S:
+                self._held.append((record, at_s))
+            else:
+                self.unknown += 1
+
     def _follow(self, name: str, offer: TopicOffer) -> None:
         topic = self._topics.get(name)
-        if topic is not None and topic.offer.type_name != offer.type_name:
-            self._drop(topic)
-            topic = None
         kind = message_class(offer.type_name)
         here = definition_hash(kind) if offer.type_hash else ""
-        if here and here != offer.type_hash:
-            if topic is not None:
-                self._drop(topic)
+        is_other = here != offer.type_hash
+        if topic is not None and (is_other or topic.offer.type_name != offer.type_name):
+            self._drop(name)
+            topic = None
+        if is_other:
             raise UnknownTypeError(
                 f"{offer.type_name} has another definition here ({here[:_HASH]}...) than there "
                 f"({offer.type_hash[:_HASH]}...); build its package from one source on both ends"
             )
         if topic is None:
-            topic = self._topics[name] = _Topic(name, offer)
+            topic = self._topics[name] = _Topic(offer)
         topic.offer = offer
-        topic.by_number = {}
         planned = WriterQos(depth=offer.planned_depth, deadline_ns=offer.planned_deadline_ns)
-        asked, sample_bytes = self._depths.get(name, DEFAULT_RELAY_DEPTH), expected_bytes(kind)
-        # All that late readers of a latched topic get: of a map the newest.
-        history = self._depths.get(name, 1 if sample_bytes == BULK_BYTES else DEFAULT_RELAY_DEPTH)
         for writer in offer.writers:
             ghost = topic.ghosts.get(writer.gid)
             if ghost is None:
@@ -236,43 +211,34 @@ class Incoming:
                     kind,
                     self._side.local_name(name),
                     writer,
-                    depth=history if writer.is_latched else held_depth(asked, sample_bytes=sample_bytes),
+                    depth=self._depth(name, writer, kind),
                     planned=planned,
                     clock=self._clock,
                 )
-            # It may be alive now. Its ghost stays in its node, whatever an end that has just started calls that.
-            ghost.offer = replace(writer, node=ghost.offer.node)
-            ghost.retune(planned)
-            topic.gone_s.pop(writer.gid, None)
-            topic.by_number[writer.number] = ghost
+                self._ghosts[writer_key(writer.gid)] = ghost
+            ghost.follow(writer, planned)
 
-    def _retire(self, topic: _Topic, present: set[str], now_s: float) -> None:
+    def _depth(self, name: str, writer: WriterOffer, kind: type) -> int:
+        if writer.is_latched:  # all that late readers get: of a map the newest
+            return self._depths.get(name, 1 if is_bulk(kind) else DEFAULT_RELAY_DEPTH)
+        return held_depth(kind, asked=self._depths.get(name, DEFAULT_RELAY_DEPTH))
+
+    def _retire(self, now_s: float) -> None:
         """Remove the ghosts of writers that have been gone for a while."""
-        for gid in topic.ghosts.keys() - present:
-            if now_s - topic.gone_s.setdefault(gid, now_s) >= _GRACE_S:
-                del topic.gone_s[gid]
-                ghost = topic.ghosts.pop(gid)
-                topic.by_number = {number: each for number, each in topic.by_number.items() if each is not ghost}
-                ghost.destroy()
-        if not topic.ghosts:
-            self._drop(topic)
+        for name, topic in [*self._topics.items()]:
+            for gid in [gid for gid, ghost in topic.ghosts.items() if now_s - ghost.gone_s >= _GRACE_S]:
+                self._remove(topic, gid)
+            if not topic.ghosts:
+                del self._topics[name]
 
-    def _drop(self, topic: _Topic) -> None:
-        for ghost in topic.ghosts.values():
-            ghost.destroy()
-        del self._topics[topic.name]
+    def _drop(self, name: str) -> None:
+        topic = self._topics.pop(name)
+        for gid in [*topic.ghosts]:
+            self._remove(topic, gid)
 
-    def _write_held(self, topic: _Topic, now_s: float) -> None:
-        """Write the samples of writers that are known now; forget those that stay unknown."""
-        for _ in range(len(topic.held)):
-            held = topic.held.popleft()
-            ghost = topic.by_number.get(held.record.writer) if held.session == self._session else None
-            if ghost is not None:
-                self.received += ghost.write(held.record)
-            elif now_s - held.at_s < _HELD_S:
-                topic.held.append(held)
-            else:
-                self.unknown += 1
+    def _remove(self, topic: _Topic, gid: str) -> None:
+        self._ghosts.pop(writer_key(gid), None)
+        topic.ghosts.pop(gid).destroy()
 
 
 def swap_some(ghosts: Iterable[GhostWriter], now_s: float) -> None:

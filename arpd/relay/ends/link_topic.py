@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,7 @@ from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.outgoing import Carried, Outgoing
-from arpd.relay.ends.types import message_class
-from arpd.relay.envelope import Record, key_of, pack
+from arpd.relay.envelope import Record, pack
 from arpd.relay.sets import Sets
 from arpd.ros.events import no_publisher_events
 from arpd.ros.graph import type_name_of
@@ -32,8 +30,8 @@ if TYPE_CHECKING:
 
     from arpd.model.price import Price
     from arpd.relay.ends.link_thread import LinkThread
-    from arpd.relay.ends.topic_readers import TopicReaders
-    from arpd.relay.offers import TopicOffer, WriterOffer
+    from arpd.relay.ends.offers import TopicOffer, WriterOffer
+    from arpd.relay.ends.survey import Writer
     from arpd.ros.raw_reader import Sample
 
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
@@ -52,9 +50,9 @@ class LinkTopic:
     node : the end's node in the domain of the link
     topic : its name there
     thread : writes to the link
-    make_lane : makes its lane, given what writes a chunk
     depth : most samples that wait before the first plan
-    sets : of a group: its samples cross in sets; None = it is no group
+    members : topics of a group, in their order: its samples cross in sets; empty = it is no group
+    lane : arguments of its `Lane`
     """
 
     def __init__(
@@ -63,20 +61,20 @@ class LinkTopic:
         topic: str,
         *,
         thread: LinkThread,
-        make_lane: Callable[[Callable[[bytes], None]], Lane],
         depth: int,
-        sets: Sets | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        members: Collection[str],
+        lane: Mapping[str, Any],
+        clock: Callable[[], float],
     ) -> None:
-        self.sets, self._lock = sets, threading.Lock()  # the reading thread sends, and who learns the name of a writer
-        self._node = node
-        self._thread = thread
-        self._clock = clock
+        self._members = {member: place for place, member in enumerate(members)}
+        self.sets = Sets(()) if members else None
+        self._lock = threading.Lock()  # guards the sets: who learns the name of a writer sends, too
+        self._node, self._thread, self._clock = node, thread, clock
         self._publisher = node.create_publisher(
             UInt8MultiArray, topic, QoSProfile(depth=LINK_DEPTH), event_callbacks=no_publisher_events()
         )
         self.topic_name = str(self._publisher.topic_name)
-        self._lane = make_lane(rcl().outlet(self._publisher.handle).publish)
+        self._lane = Lane(rcl().outlet(self._publisher.handle).publish, **lane)
         self._price: Price | None = None
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
         self.plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=depth)
@@ -89,22 +87,23 @@ class LinkTopic:
         """Mean size of a sample (bytes)."""
         return self._lane.payload_bytes
 
-    def send(self, member: int, writer: WriterOffer, sample: Sample) -> None:
+    def send(self, topic: str, writer: Writer, sample: Sample) -> None:
         """Let a sample wait for its turn; of a group, its set once that is complete."""
-        records = [Record(member, writer.number, sample.sequence, sample.data)]
-        source: int | None = writer.number
-        if self.sets is not None:
-            with self._lock:
-                if (complete := self.sets.add(records[0])) is None:
-                    return
-            records, source = complete, None
-        self._thread.offer(self._lane, pack(records), source=source, lifespan_ns=writer.lifespan_ns)
+        record = Record(writer.key, sample.sequence, sample.data)
+        lifespan_ns = writer.offer.lifespan_ns
+        if self.sets is None:
+            self._thread.offer(self._lane, pack([record]), source=writer.key, lifespan_ns=lifespan_ns)
+            return
+        with self._lock:
+            complete = self.sets.add(self._members[topic], record)
+        if complete is not None:
+            self._thread.offer(self._lane, pack(complete), lifespan_ns=lifespan_ns)
 
-    def follow(self, members: Collection[int]) -> None:
-        """Wait for the samples of these members of the group."""
+    def follow(self, topics: Collection[str]) -> None:
+        """Wait for the samples of these topics of the group."""
         if self.sets is not None:
             with self._lock:
-                self.sets.members = frozenset(members)
+                self.sets.members = frozenset(self._members[topic] for topic in topics)
 
     def get_subscription_count(self) -> int:
         """Count the matched readers."""
@@ -126,13 +125,13 @@ class LinkTopic:
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
         self.plan = plan
-        self._settle()
+        self._thread.retune(self._lane, plan, self._price)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
         if price != self._price:
             self._price = price
-            self._settle()
+            self._thread.retune(self._lane, self.plan, price)
 
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
@@ -146,11 +145,8 @@ class LinkTopic:
             **flow.counted(),
         )
 
-    def _settle(self) -> None:
-        self._thread.retune(self._lane, self.plan, self._price)
 
-
-class LinkOutgoing(Outgoing):
+class LinkOutgoing(Outgoing[LinkTopic]):
     """Offers the samples of the wanted topics to the paced queue of the link.
 
     A topic is read once its writer on the link has a reader there: a history would be lost otherwise.
@@ -179,22 +175,22 @@ class LinkOutgoing(Outgoing):
     def incomplete(self) -> int:
         """Count the samples of groups whose set was never complete."""
         sets = [carried.publisher.sets for carried in self._carried.values()]
-        return self._incomplete + sum(int(each.dropped) for each in sets if each is not None)
+        return self._incomplete + sum(each.dropped for each in sets if each is not None)
 
     def living(self, topic: str, writers: Iterable[WriterOffer]) -> tuple[WriterOffer, ...]:
-        """Return the writers of a topic by their numbers, each with whether it is alive."""
-        carried = self._carried.get(self.names.of(topic)[0])
+        """Return the writers of a topic in a lasting order, each with whether it is alive."""
+        carried = self._carried.get(self.link_name(topic))
         readers = None if carried is None else carried.readers.get(topic)
         return tuple(
             replace(writer, is_alive=readers is not None and readers.are_alive(writer)) if writer.is_manual else writer
-            for writer in sorted(writers, key=lambda writer: writer.number)
+            for writer in sorted(writers, key=lambda writer: writer.gid)
         )
 
     def step(self, offers: Mapping[str, TopicOffer]) -> None:
         """Open the readers of topics whose writer on the link has found its reader there."""
         super().step(offers)
         for carried in self._carried.values():
-            carried.publisher.follow({self.names.of(topic)[1] for topic in carried.wanted - self.refused.keys()})
+            carried.publisher.follow(carried.wanted - self.refused.keys())
 
     def meet(self, link_gids: str) -> None:
         """Begin again with latched topics: the other end is another process now, and lacks their histories.
@@ -221,40 +217,30 @@ class LinkOutgoing(Outgoing):
         )
 
     def _publisher(self, link_name: str, _type_name: str, *, is_latched: bool) -> LinkTopic:
-        depth, is_group = self._settings.depths.get(link_name), self.names.is_group(link_name)
-
-        def lane(write: Callable[[bytes], None]) -> Lane:
-            if link_name in self._settings.queued:
-                most = depth or DEFAULT_RELAY_DEPTH
-                return Lane(write, depth=most, large_depth=most, is_ordered=True, is_kept=True)
-            if is_latched:
-                return Lane(write, depth=depth or _HISTORY, large_depth=depth or 1, is_kept=True)
-            # A set of a group leaves alone: it is seldom small.
-            return Lane(write, key=None if is_group else key_of(link_name))
-
+        asked = self._settings.depths.get(link_name)
+        depth = asked or DEFAULT_RELAY_DEPTH
+        members = next((group.topics for group in self._settings.groups if group.name == link_name), ())
+        lane: dict[str, Any] = {"has_company": not members}  # a set of a group leaves alone: it is seldom small
+        if link_name in self._settings.queued:
+            lane = {"depth": depth, "large_depth": depth, "is_ordered": True, "is_kept": True}
+        elif is_latched:
+            lane = {"depth": asked or _HISTORY, "large_depth": asked or 1, "is_kept": True}
         return LinkTopic(
             self._link_node,
             link_name,
             thread=self._link,
-            make_lane=lane,
-            depth=depth or DEFAULT_RELAY_DEPTH,
-            sets=Sets(()) if is_group else None,
+            depth=depth,
+            members=members,
+            lane=lane,
+            clock=self._clock,
         )
 
-    def _readers(self, carried: Carried, topic: str, type_name: str) -> TopicReaders:
-        if carried.publisher.sets is not None and not has_header(message_class(type_name)):
-            raise ValueError(f"{type_name} has no header stamp, by which its group is thinned")
-        return super()._readers(carried, topic, type_name)
-
-    def _send(self, publisher: LinkTopic, member: int, writer: WriterOffer, sample: Sample) -> None:
-        publisher.send(member, writer, sample)
+    def _check(self, carried: Carried[LinkTopic], kind: Any) -> None:
+        first = next(iter(kind.get_fields_and_field_types().values()), "")
+        if carried.publisher.sets is not None and first != "std_msgs/Header":
+            raise ValueError(f"{type_name_of(kind)} has no header stamp, by which its group is thinned")
 
     def _drop(self, link_name: str) -> None:
         sets = self._carried[link_name].publisher.sets
         super()._drop(link_name)
         self._incomplete += 0 if sets is None else sets.dropped
-
-
-def has_header(msg_type: Any) -> bool:
-    """Return whether the first field of a message class is a std_msgs/Header."""
-    return next(iter(msg_type.get_fields_and_field_types().values()), "") == "std_msgs/Header"

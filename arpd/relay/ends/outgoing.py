@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
@@ -16,31 +16,26 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.survey import Survey
-    from arpd.relay.offers import TopicOffer, WriterOffer
+    from arpd.relay.ends.offers import TopicOffer
+    from arpd.relay.ends.survey import Survey, Writer
     from arpd.ros.raw_reader import ReadingThread, Sample
 
 
-class Names:
-    """Names under which topics are carried: a group's for its topics, in their order, and their own for others."""
+class Publisher(Protocol):
+    """What the samples of a topic, or of a group of topics, are sent on by."""
 
-    def __init__(self, settings: RelaySettings) -> None:
-        self._of = {
-            topic: (group.name, member) for group in settings.groups for member, topic in enumerate(group.topics)
-        }
-        self._groups = {group.name for group in settings.groups}
+    def send(self, topic: str, writer: Writer, sample: Sample) -> None:
+        """Send a sample on, in the reading thread."""
 
-    def of(self, topic: str) -> tuple[str, int]:
-        """Return the name on the link, and the place in the group."""
-        return self._of.get(topic, (topic, 0))
+    def destroy(self) -> None:
+        """Send no more."""
 
-    def is_group(self, link_name: str) -> bool:
-        """Return whether a group crosses under this name."""
-        return link_name in self._groups
+
+P = TypeVar("P", bound=Publisher)
 
 
 @dataclass(slots=True)
-class Carried:
+class Carried(Generic[P]):
     """One topic, or one group of topics.
 
     Parameters
@@ -52,7 +47,7 @@ class Carried:
     readers : of its topics
     """
 
-    publisher: Any
+    publisher: P
     is_latched: bool
     wanted_s: float
     wanted: set[str] = field(default_factory=set)
@@ -65,7 +60,7 @@ class Carried:
             self.readers.pop(topic).destroy()
 
 
-class Outgoing:
+class Outgoing(Generic[P]):
     """Carries the wanted topics while they are offered here; those that cannot be carried are named, and others go on.
 
     What a sample crosses by is for its heirs to say.
@@ -97,15 +92,19 @@ class Outgoing:
     ) -> None:
         self._node, self._survey, self._thread, self._local_name = node, survey, thread, local_name
         self._settings, self._linger_s, self._clock = settings, linger_s, clock
-        self.names = Names(settings)
-        self._carried: dict[str, Carried] = {}  # by the name on the link
+        self._groups = {topic: group.name for group in settings.groups for topic in group.topics}
+        self._carried: dict[str, Carried[P]] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
+
+    def link_name(self, topic: str) -> str:
+        """Return the name under which a topic is carried: its group's, or its own."""
+        return self._groups.get(topic, topic)
 
     def follow(self, wants: Collection[str], offers: Mapping[str, TopicOffer]) -> None:
         """Carry the wanted topics that are offered, and no other."""
         wanted: dict[str, set[str]] = {}
         for topic in offers.keys() & wants:
-            wanted.setdefault(self.names.of(topic)[0], set()).add(topic)
+            wanted.setdefault(self.link_name(topic), set()).add(topic)
         now_s = self._clock()
         for link_name, known in list(self._carried.items()):
             if link_name in wanted:
@@ -115,14 +114,19 @@ class Outgoing:
         self.refused = {}
         for link_name, topics in wanted.items():
             is_latched = any(writer.is_latched for topic in topics for writer in offers[topic].writers)
+            types = {topic: offers[topic].type_name for topic in topics}
             carried = self._carried.get(link_name)
-            if carried is not None and self._must_begin_again(carried, topics, offers, is_latched=is_latched):
-                # The next look carries it. With a new writer at once, a far reader never matched in 4 of 27 runs.
+            if carried is not None and (
+                (is_latched and not carried.is_latched)
+                or any(types.get(topic, type_name) != type_name for topic, type_name in carried.types.items())
+            ):
+                # A latched writer's history, or another type, wants another publisher. The next look carries it. With a
+                # new writer at once, a far reader never matched in 4 of 27 runs.
                 self._drop(link_name)
                 continue
             try:
                 if carried is None:
-                    publisher = self._publisher(link_name, offers[min(topics)].type_name, is_latched=is_latched)
+                    publisher = self._publisher(link_name, types[min(topics)], is_latched=is_latched)
                     carried = self._carried[link_name] = Carried(publisher, is_latched, now_s)
             except (UnknownTypeError, RuntimeError, ValueError) as fault:
                 self.refused |= dict.fromkeys(topics, str(fault))
@@ -143,35 +147,25 @@ class Outgoing:
         for link_name in [*self._carried] if link_names is None else self._carried.keys() & link_names:
             self._drop(link_name)
 
-    def _must_begin_again(
-        self, carried: Carried, topics: Collection[str], offers: Mapping[str, TopicOffer], *, is_latched: bool
-    ) -> bool:
-        """Return whether a type has changed, or a latched writer has joined, whose history wants another publisher."""
-        types = {topic: offers[topic].type_name for topic in topics}
-        return (is_latched and not carried.is_latched) or any(
-            types.get(topic, type_name) != type_name for topic, type_name in carried.types.items()
-        )
-
-    def _read(self, carried: Carried, topic: str, offer: TopicOffer) -> None:
+    def _read(self, carried: Carried[P], topic: str, offer: TopicOffer) -> None:
         try:
             if topic not in carried.readers:
                 carried.types[topic] = offer.type_name
-                carried.readers[topic] = self._readers(carried, topic, offer.type_name)
+                kind = message_class(offer.type_name)
+                self._check(carried, kind)
+                carried.readers[topic] = TopicReaders(
+                    self._node,
+                    self._local_name(topic),
+                    kind,
+                    survey=self._survey,
+                    thread=self._thread,
+                    deliver=partial(carried.publisher.send, topic),
+                    depth=self._settings.depths.get(topic),
+                    clock=self._clock,
+                )
             carried.readers[topic].follow(offer.writers)
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             self.refused[topic] = str(fault)
-
-    def _readers(self, carried: Carried, topic: str, type_name: str) -> TopicReaders:
-        return TopicReaders(
-            self._node,
-            self._local_name(topic),
-            message_class(type_name),
-            survey=self._survey,
-            thread=self._thread,
-            deliver=partial(self._send, carried.publisher, self.names.of(topic)[1]),
-            depth=self._settings.depths.get(topic),
-            clock=self._clock,
-        )
 
     def _drop(self, link_name: str) -> None:
         carried = self._carried.pop(link_name)
@@ -180,11 +174,11 @@ class Outgoing:
 
     # -- what heirs say
 
-    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> Any:
+    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> P:
         raise NotImplementedError
 
-    def _is_heard(self, _publisher: Any) -> bool:
+    def _is_heard(self, _publisher: P) -> bool:
         return True
 
-    def _send(self, publisher: Any, member: int, writer: WriterOffer, sample: Sample) -> None:
-        raise NotImplementedError
+    def _check(self, carried: Carried[P], kind: Any) -> None:
+        """Raise ValueError where samples of this message class cannot be sent on."""

@@ -59,20 +59,16 @@ class Participants:
             number = sum(other is is_large for _, other in self._of)
             place = number % _MOST_LARGE if is_large else number // _MOST_TOPICS, is_large
             if place not in self._nodes:
-                self._nodes[place] = self._make()
+                # Nobody spins it: arpd's threads serve its publishers.
+                name = f"{self._name}_{len(self._nodes) + 1}"
+                self._nodes[place] = self._stack.enter_context(ros_node(name, context=Context()))
+                self._watch(self._nodes[place])
             self._of[topic, is_large] = self._nodes[place]
         return self._of[topic, is_large]
 
     def close(self) -> None:
         """Destroy all nodes but the first."""
         self._stack.close()
-
-    def _make(self) -> Any:
-        """Return a new node in a participant of its own, which nobody spins: arpd's threads serve its publishers."""
-        name = f"{self._name}_{len(self._nodes) + 1}"
-        node = self._stack.enter_context(ros_node(name, context=Context()))
-        self._watch(node)
-        return node
 
     def _watch(self, node: Any) -> None:
         self.parts.append(partial(getattr, NodePublishers.of(node).thread, "finished_s"))

@@ -11,12 +11,11 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from arpd.endpoint.publisher import AdaptivePublisher
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
-from arpd.relay.depths import BULK_BYTES
+from arpd.relay.ends.offers import TopicOffer
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.survey import Survey
-from arpd.relay.ends.types import expected_bytes, message_class
-from arpd.relay.offers import TopicOffer
+from arpd.relay.ends.types import is_bulk, message_class
 from arpd.relay.status import prefix_line
 from arpd.ros.graph_view import GraphView
 from arpd.ros.raw_reader import ReadingThread, Sample
@@ -27,15 +26,22 @@ if TYPE_CHECKING:
 
     from arpd.model.settings import RelaySettings
     from arpd.relay.ends.participants import Serve
-    from arpd.relay.ends.survey import Surveyed
-    from arpd.relay.offers import WriterOffer
+    from arpd.relay.ends.survey import Surveyed, Writer
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
 _LINGER_S = 10.0  # without a writer: a source may restart, and a loop whose source never comes must end
 
 
-class Prefixed(Outgoing):
+class _Publisher(AdaptivePublisher):
+    """Publishes serialized samples under the prefix."""
+
+    def send(self, _topic: str, _writer: Writer, sample: Sample) -> None:
+        """Send a sample on, in the reading thread."""
+        self.pass_on(sample.data)
+
+
+class Prefixed(Outgoing[_Publisher]):
     """Republishes each configured topic while it has writers, through an AdaptivePublisher.
 
     Parameters
@@ -110,21 +116,18 @@ class Prefixed(Outgoing):
             return f"{', '.join(loop)} reads {output} and publishes it, so messages would loop"
         return ""
 
-    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> AdaptivePublisher:
+    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> _Publisher:
         kind = message_class(type_name)
         log.info("relaying %s to %s (%s)", link_name, self._outputs[link_name], type_name)
         # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise.
         durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
-        return AdaptivePublisher(
-            self._participants.of(link_name, is_large=expected_bytes(kind) >= BULK_BYTES),
+        return _Publisher(
+            self._participants.of(link_name, is_large=is_bulk(kind)),
             kind,
             self._settings.prefix + link_name,
             QoSProfile(depth=self._settings.depths.get(link_name) or DEFAULT_RELAY_DEPTH, durability=durability),
             overflow=Overflow.QUEUE if link_name in self._settings.queued else Overflow.LATEST,
         )
-
-    def _send(self, publisher: AdaptivePublisher, _member: int, _writer: WriterOffer, sample: Sample) -> None:
-        publisher.pass_on(sample.data)
 
 
 def run_prefix(settings: RelaySettings, serve: Serve, *, node_name: str, on_change: Callable[[str], None]) -> None:

@@ -14,6 +14,7 @@ from std_msgs.msg import Empty
 
 from arpd.model.errors import RosUnavailableError
 from arpd.relay.ends.end import End
+from arpd.relay.envelope import WRAP
 from arpd.ros.rmw import current_rmw
 from arpd.ros.runtime import (
     PROFILE_VARIABLES,
@@ -56,7 +57,7 @@ def run_end(
     with ros_node(node_name) as node, ros_node(node_name, settings.link(is_far=is_far)) as link_node:
         check_middleware(current_rmw())
         check_deaf_to_itself(node)
-        session = secrets.randbits(32)
+        session = 1 + secrets.randbelow(WRAP - 1)
         end = End(node, link_node, settings, is_far=is_far, host=host, session=session, on_change=on_change)
         with closing(end):
             serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.relay.calls import CallFailure, CallId
-    from arpd.relay.offers import ServiceOffer
+    from arpd.relay.ends.offers import ServiceOffer
     from arpd.ros.raw_reader import ReadingThread
 
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.relay.offers import WriterOffer
+from arpd.relay.ends.offers import WriterOffer
+from arpd.relay.envelope import writer_key
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
 
@@ -18,8 +19,28 @@ if TYPE_CHECKING:
     from arpd.ros.graph import Endpoint
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
-_MOST_WRITERS = 2**16  # of one topic: their numbers have 16 bits
-_REMEMBERED_S = 30.0  # a writer that left; its number is free again then
+_REMEMBERED_S = 30.0  # a writer that left
+
+
+class WriterClass(NamedTuple):
+    """Writers that one reader hears."""
+
+    is_reliable: bool
+    is_latched: bool
+    lease_ns: int  # of those that assert their liveliness by topic; 0 = the others
+
+    @classmethod
+    def of(cls, writer: WriterOffer) -> WriterClass:
+        """Return the class of a writer."""
+        return cls(writer.is_reliable, writer.is_latched, writer.lease_ns if writer.is_manual else 0)
+
+
+class Writer(NamedTuple):
+    """A writer of this side: what is offered of it, its class, and what stands for it in samples."""
+
+    offer: WriterOffer
+    kind: WriterClass
+    key: bytes
 
 
 class Surveyed:
@@ -30,46 +51,40 @@ class Surveyed:
 
     def __init__(self) -> None:
         self.types: tuple[str, ...] = ()
-        self.writers: Mapping[str, WriterOffer] = {}  # by GUID
-        self.known: Mapping[str, WriterOffer] = {}  # with those that left lately, whose samples may still come
+        self.writers: Mapping[str, WriterOffer] = {}  # by GUID in hexadecimal digits
+        self.known: Mapping[bytes, Writer] = {}  # by GUID, with those that left lately, whose samples may still come
         self.type_name = ""  # type that is offered
         self.type_hash = ""  # its definition, where all its writers tell the same one
-        self._seen_s: dict[str, float] = {}
+        self._seen_s: dict[bytes, float] = {}
         self.is_waiting = False  # whether the node of a writer may still become known
-        self._unnamed_s: dict[str, float] = {}  # writers whose node is not known, and since when
+        self._unnamed_s: dict[bytes, float] = {}  # writers whose node is not known, and since when
 
-    def read(self, writers: Iterable[Endpoint], now_s: float) -> None:
+    def read(self, writers: Collection[Endpoint], now_s: float) -> None:
         """Take the writers of the topic.
 
         Parameters
         ----------
         now_s : monotonic clock (s)
         """
-        by_gid = {writer.gid.hex(): writer for writer in writers}
-        unnamed = [gid for gid, writer in by_gid.items() if not writer.is_named]
-        self._unnamed_s = {gid: self._unnamed_s.get(gid, now_s) for gid in unnamed}
+        self._unnamed_s = {each.gid: self._unnamed_s.get(each.gid, now_s) for each in writers if not each.is_named}
         waiting = {gid for gid, since_s in self._unnamed_s.items() if now_s - since_s < _NAMELESS_S}
         self.is_waiting = bool(waiting)
-        self._offer({gid: writer for gid, writer in by_gid.items() if gid not in waiting}, now_s)
-
-    def _offer(self, named: Mapping[str, Endpoint], now_s: float) -> None:
-        self.types = tuple(sorted({writer.type_name for writer in named.values()}))
+        named = [each for each in writers if each.gid not in waiting]
+        self.types = tuple(sorted({each.type_name for each in named}))
         if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
             self.type_name = self.types[0] if len(self.types) == 1 else ""
-        offered = {gid: writer for gid, writer in named.items() if writer.type_name == self.type_name}
-        hashes = {writer.type_hash for writer in offered.values()} - {""}
+        self._offer([each for each in named if each.type_name == self.type_name], now_s)
+
+    def _offer(self, offered: Iterable[Endpoint], now_s: float) -> None:
+        hashes = {each.type_hash for each in offered} - {""}
         self.type_hash = hashes.pop() if len(hashes) == 1 else ""
-        self._seen_s.update(dict.fromkeys([*self.writers, *offered], now_s))  # those that left were here until now
-        self._seen_s = {gid: at_s for gid, at_s in self._seen_s.items() if now_s - at_s < _REMEMBERED_S}
-        known = {gid: writer for gid, writer in self.known.items() if gid in self._seen_s}
-        taken = {writer.number for writer in known.values()}
-        free = (number for number in range(_MOST_WRITERS) if number not in taken)
-        for gid, writer in offered.items():
-            number = known[gid].number if gid in known else next(free, None)
-            if number is not None:
-                known[gid] = _offer(writer, gid, number)
-        self.known = known
-        self.writers = {gid: known[gid] for gid in offered if gid in known}
+        present = {each.gid: _writer(each) for each in offered}
+        here = [*map(bytes.fromhex, self.writers), *present]  # those that left were here until now
+        self._seen_s = {gid: s for gid, s in self._seen_s.items() if now_s - s < _REMEMBERED_S} | dict.fromkeys(
+            here, now_s
+        )
+        self.known = {gid: writer for gid, writer in self.known.items() if gid in self._seen_s} | present
+        self.writers = {writer.offer.gid: writer.offer for writer in present.values()}
 
 
 class Survey:
@@ -81,9 +96,12 @@ class Survey:
     is_of_interest : returns whether to look at a topic, by its local name
     """
 
-    def __init__(self, node: Node, *, is_of_interest: Callable[[str], bool]) -> None:
+    def __init__(
+        self, node: Node, *, is_of_interest: Callable[[str], bool], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._view = GraphView.of(node)
         self._is_of_interest = is_of_interest
+        self._clock = clock
         self._lock = threading.Lock()
         self._changes = -1  # of the graph, when it was looked at last
         self.topics: Mapping[str, Surveyed] = {}
@@ -98,13 +116,14 @@ class Survey:
             if before != self._changes or topic in new or surveyed.is_waiting:
                 self._read(topic, surveyed)
 
-    def read(self, topic: str) -> Surveyed | None:
-        """Read the writers of one topic now; for any thread."""
-        surveyed = self.topics.get(topic)
-        if surveyed is not None:
+    def writer(self, topic: str, gid: bytes) -> Writer | None:
+        """Return the writer with this GUID, after another look where it is not known; for any thread."""
+        if (surveyed := self.topics.get(topic)) is None:
+            return None
+        if gid not in surveyed.known:
             self._view.look()
             self._read(topic, surveyed)
-        return surveyed
+        return surveyed.known.get(gid)
 
     def gids(self, topic: str) -> Collection[str]:
         """Return the GUIDs of the topic's writers, without those of this process."""
@@ -114,19 +133,20 @@ class Survey:
     def _read(self, topic: str, surveyed: Surveyed) -> None:
         with self._lock:
             ours = self._view.ours
-            others = [writer for writer in self._view.writers(topic) if writer.participant not in ours]
-            surveyed.read(others, time.monotonic())
+            surveyed.read(
+                [writer for writer in self._view.writers(topic) if writer.participant not in ours], self._clock()
+            )
 
 
-def _offer(writer: Endpoint, gid: str, number: int) -> WriterOffer:
-    return WriterOffer(
-        number=number,
-        node=writer.node,
-        gid=gid,
-        is_reliable=writer.is_reliable,
-        is_latched=writer.is_latched,
-        deadline_ns=writer.deadline_ns,
-        lifespan_ns=writer.lifespan_ns,
-        lease_ns=writer.lease_ns,
-        is_manual=writer.is_manual,
+def _writer(found: Endpoint) -> Writer:
+    offer = WriterOffer(
+        node=found.node,
+        gid=found.gid.hex(),
+        is_reliable=found.is_reliable,
+        is_latched=found.is_latched,
+        deadline_ns=found.deadline_ns,
+        lifespan_ns=found.lifespan_ns,
+        lease_ns=found.lease_ns,
+        is_manual=found.is_manual,
     )
+    return Writer(offer, WriterClass.of(offer), writer_key(offer.gid))

@@ -6,6 +6,7 @@ import ctypes
 import importlib
 import importlib.util
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.type_support import check_for_type_support
 from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport  # type: ignore[import-untyped]
 
-from arpd.relay.depths import BULK_BYTES, PLAIN_BYTES
-
+MOST_BYTES = 16_000_000  # in one endpoint
+# Discovery tells no depth, nobody knows rate and size of a topic before its first reader, and another depth needs
+# another endpoint. So these are upper bounds: a second of the fastest topic, and the sizes of types that can be large,
+# a raw image of 320 × 240 or a cloud of 16 beams, and of all others.
+_MOST_HELD, _BULK_BYTES, _PLAIN_BYTES = 1000, 250_000, 16_000
 _OCTETS = frozenset({"sequence<uint8>", "sequence<int8>", "sequence<octet>"})
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
@@ -36,6 +40,7 @@ class UnknownTypeError(Exception):
     """A type that is not installed on this host, or differs here, or whose libraries cannot be loaded."""
 
 
+@cache
 def message_class(type_name: str) -> Any:
     """Import a message class: ``sensor_msgs/msg/LaserScan`` or ``nav2_msgs/action/Spin_FeedbackMessage``.
 
@@ -47,6 +52,7 @@ def message_class(type_name: str) -> Any:
     return _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES)
 
 
+@cache
 def service_class(type_name: str) -> Any:
     """Import a service class: ``std_srvs/srv/Trigger`` or ``nav2_msgs/action/Spin_SendGoal``; errors as above."""
     return _import(type_name, folder="srv", of_actions=_ACTION_SERVICES)
@@ -61,9 +67,20 @@ def definition_hash(kind: Any) -> str:
     return f"RIHS{version:02}_{bytes(digits).hex()}"
 
 
-def expected_bytes(kind: Any) -> int:
-    """Return a size that few samples of a message class exceed (bytes); octets are images, clouds and maps."""
-    return PLAIN_BYTES if _OCTETS.isdisjoint(kind.get_fields_and_field_types().values()) else BULK_BYTES
+def is_bulk(kind: Any) -> bool:
+    """Return whether samples of a message class can be large: octets are images, clouds and maps."""
+    return not _OCTETS.isdisjoint(kind.get_fields_and_field_types().values())
+
+
+def held_depth(kind: Any, *, asked: int) -> int:
+    """Return the depth that holds a second of a topic, so that a busy host loses nothing that has arrived there.
+
+    Parameters
+    ----------
+    kind : message class, whose size bounds the memory
+    asked : depth that the configuration asks for, held in any case (samples)
+    """
+    return max(asked, min(_MOST_HELD, MOST_BYTES // (_BULK_BYTES if is_bulk(kind) else _PLAIN_BYTES)))
 
 
 def _import(type_name: str, *, folder: str, of_actions: dict[str, str]) -> Any:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.relay.envelope import WRAP
-from arpd.relay.flight import Flight, Receipt, Received
+from arpd.relay.flight import Flight, Receipt, Received, Sign, decode_sign, encode_sign
 
 ABROAD_S = 12_345.6  # how far the receiver's clock is ahead
 
@@ -127,3 +127,23 @@ def test_numbers_and_bytes_wrap_and_begin_anew_with_a_session():
         received.note(7, number, 0, size, 1.0)
     receipt = received.take(1.0)
     assert (receipt.session, receipt.number, receipt.received) == (7, 1, 20)
+
+
+NUMBERS = st.integers(0, WRAP - 1)
+SIGNS = st.builds(Sign, NUMBERS, NUMBERS, NUMBERS, st.builds(Receipt, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS))
+
+
+@given(SIGNS)
+def test_a_sign_arrives_as_it_was_sent(sign):
+    """Session, probe and receipt survive up to their last values."""
+    assert decode_sign(encode_sign(sign)) == sign
+
+
+@given(SIGNS, st.integers(0, 255), st.binary(max_size=60))
+def test_another_version_or_length_is_refused(sign, version, other):
+    """An end of another version is understood by none, instead of misunderstood."""
+    good = encode_sign(sign)
+    for data in (bytes([version]) + good[1:], other, good[:-1], good + other):
+        if data[:1] != good[:1] or len(data) != len(good):
+            with pytest.raises(ValueError, match="version"):
+                decode_sign(data)

@@ -13,8 +13,8 @@ from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.wire import FRAGMENT_BYTES, wire_size
-from arpd.relay.envelope import Assembly, decode_chunk, split
-from arpd.relay.flight import Flight, Receipt, Received
+from arpd.relay.envelope import Assembly, Chunk, decode_chunk, encode_chunk
+from arpd.relay.flight import Receipt, Received, Sign, decode_sign, encode_sign
 from arpd.relay.link_queue import LinkQueue
 
 CAPACITY, OVERHEAD_S = 2.5e6, 1e-4
@@ -39,8 +39,9 @@ class Link:
     def __init__(self, capacity=CAPACITY):
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
-        self.flight, self.received = Flight(), Received()
-        self.queue = LinkQueue(7, self.flight, Lane(self.write_together))
+        self.received = Received()
+        self.queue = LinkQueue(7, self.now_s, together=lambda _sample: None)
+        self.flight = self.queue.flight
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
 
@@ -93,10 +94,6 @@ class Link:
         self.sent_s[name] += took_s
         self.free_s = max(self.free_s, self.now_s) + took_s
         self.after(self.free_s - self.now_s + 0.002, partial(self.arrive, name, assembly, sample))
-
-    def write_together(self, sample):
-        for key, message in split(decode_chunk(sample).part):
-            self.arrived[key].append(message)
 
     def arrive(self, name, assembly, sample):
         chunk = decode_chunk(sample)
@@ -261,41 +258,65 @@ def test_a_topic_that_is_removed_sends_no_more():
 
 
 def loads(link):
-    """Return the topics of each packet that leaves now, and how many others leave alone."""
+    """Return the letters in each packet of messages that leave together now, and how many others leave alone."""
     ready = list(iter(lambda: link.queue.take(link.now_s), None))
-    together = [split(decode_chunk(sample).part) for lane, sample in ready if lane not in link.lanes.values()]
-    return [[key for key, _ in load] for load in together], len(ready) - len(together)
+    together = [decode_chunk(sample).part for lane, sample in ready if lane not in link.lanes.values()]
+    return ["".join(dict.fromkeys(part.decode())) for part in together], len(ready) - len(together)
 
 
 def test_small_messages_that_come_together_leave_in_one_packet():
-    """The first leaves at once; those that come while it takes the link leave together, and who has no key alone."""
+    """The first leaves at once; those that come while it takes the link leave together, or alone without company."""
     link = Link()
     for name in "abcd":
-        link.lane(name, ROW, price_of(1.0), key=None if name == "d" else name.encode() * 6)
-    link.offer("a", bytes(100))
-    assert loads(link) == ([[b"a" * 6]], 0)
+        link.lane(name, ROW, price_of(1.0), has_company=name != "d")
+    link.offer("a", b"a" * 100)
+    assert loads(link) == (["a"], 0)
     for name in "bcd":
-        link.offer(name, bytes(100))
+        link.offer(name, name.encode() * 100)
     assert loads(link) == ([], 1)
     link.now_s = link.queue.due_s(link.now_s)
-    assert loads(link) == ([[b"b" * 6, b"c" * 6]], 0)
+    assert loads(link) == (["bc"], 0)
 
 
 def test_no_more_leaves_together_than_one_packet_holds():
     """What finds no room leaves in the next packet, at once."""
     link = Link()
     for name in "abc":
-        link.lane(name, key=name.encode() * 6)
-        link.offer(name, bytes(500))
-    assert loads(link) == ([[b"a" * 6, b"b" * 6], [b"c" * 6]], 0)
+        link.lane(name, has_company=True)
+        link.offer(name, name.encode() * 500)
+    assert loads(link) == (["ab", "c"], 0)
 
 
 def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
     """Its small messages would overtake the large one on another writer."""
     link = Link()
-    link.lane("scan", key=b"scan  ")
+    scan = link.lane("scan", has_company=True)
     for size in (100, 5000, 100):
         link.offer("scan", bytes(size))
-        assert (loads(link) == ([], 1)) == (size == 5000 or link.lanes["scan"].key is None)
+        assert (loads(link) == ([], 1)) == (not scan.has_company)
         link.now_s += 0.1
-    assert link.lanes["scan"].key is None
+    assert not scan.has_company
+
+
+def test_another_robots_end_in_the_link_domain_spoils_no_account():
+    """While the other end speaks, only its chunks and probes are receipted; when it is silent, its successor's are."""
+    end = LinkQueue(1, 0.0, together=lambda _sample: None)
+    other, stranger, successor = 2, 3, 4
+
+    def sends(session, number, now_s):
+        end.arrived(encode_chunk(Chunk(session, number, 0, number, 0, 4, is_kept=False, part=b"part")), now_s)
+
+    def receipt(now_s):
+        return decode_sign(end.take_sign(now_s)).receipt
+
+    end.follow(other, 0.0)
+    sends(other, 1, 0.1)
+    size = receipt(0.5).received
+    for number, now_s in enumerate((1.0, 1.5), start=2):
+        sends(stranger, 70 + number, now_s)
+        sends(other, number, now_s)
+        end.hear(encode_sign(Sign(stranger, number=9)), now_s)
+    after = receipt(2.0)
+    assert (after.session, after.number, after.received) == (other, 3, 3 * size)
+    sends(successor, 1, 1.5 + 1.6)
+    assert receipt(4.0).session == successor

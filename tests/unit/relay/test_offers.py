@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.relay import offers
-from arpd.relay.offers import (
+from arpd.relay.ends import offers
+from arpd.relay.ends.offers import (
     EndState,
     OtherVersionError,
     ServiceOffer,
@@ -22,7 +22,6 @@ NAMES = st.text(min_size=1, max_size=20)
 PERIODS = st.integers(0, 2**63 - 1)
 WRITERS = st.builds(
     WriterOffer,
-    number=st.integers(0, 2**16 - 1),
     node=NAMES,
     gid=st.binary(min_size=16, max_size=16).map(bytes.hex),
     is_reliable=st.booleans(),
@@ -38,14 +37,13 @@ TOPICS = st.builds(
     type_name=NAMES,
     writers=st.lists(WRITERS, max_size=3).map(tuple),
     link_name=NAMES,
-    member=st.integers(0, 9),
     type_hash=NAMES,
     planned_depth=st.integers(0, 5000),
     planned_deadline_ns=PERIODS,
 )
 STATES = st.builds(
     EndState,
-    session=st.binary(min_size=8, max_size=8).map(bytes.hex),
+    session=st.integers(1, 2**32 - 1),
     serial=st.integers(0, 10**9),
     host=NAMES,
     arpd=NAMES,
@@ -55,9 +53,9 @@ STATES = st.builds(
     refused=st.dictionaries(NAMES, NAMES, max_size=3),
 )
 STATE = EndState(
-    session="0" * 16,
+    session=7,
     serial=1,
-    topics={"/a": TopicOffer(type_name="t", writers=(WriterOffer(number=0, node="/n", gid="00"),), link_name="/a")},
+    topics={"/a": TopicOffer(type_name="t", writers=(WriterOffer(node="/n", gid="00"),), link_name="/a")},
 )
 
 
@@ -78,9 +76,9 @@ def test_bytes_that_are_no_state_are_refused(data):
 @pytest.mark.parametrize(
     ("path", "value"),
     [
+        (("session",), 0),
         (("session",), "0x1"),
         (("serial",), -1),
-        (("topics", "/a", "writers", 0, "number"), 2**16),
         (("topics", "/a", "writers", 0, "deadline_ns"), -1),
         (("topics", "/a", "planned_depth"), 5001),
         (("topics", "/a", "writers"), 7),
@@ -102,7 +100,7 @@ def test_a_state_with_a_bad_value_is_refused(path, value):
 def test_a_state_of_another_version_says_so(monkeypatch):
     """The versions of both ends are in the fault."""
     monkeypatch.setattr(offers, "VERSION", 9)
-    data = encode_state(EndState(session="0" * 16, serial=1, arpd="9.9"))
+    data = encode_state(EndState(session=7, serial=1, arpd="9.9"))
     monkeypatch.undo()
     with pytest.raises(OtherVersionError, match=rf"version 9 \(arpd 9.9\), this end version {offers.VERSION}"):
         decode_state(data)

@@ -1,12 +1,15 @@
 """The other end of a relay as this one hears it."""
 
-from arpd.relay.offers import EndState
+from arpd.relay.ends.offers import EndState
 from arpd.relay.partner import Partner
 
 
 def in_force(partner):
     assert partner.state is not None
     return partner.state
+
+
+OLD, NEW = ONE, TWO = 1, 2  # sessions
 
 
 def state(session, number=1, host=""):
@@ -26,8 +29,8 @@ def heard(partner, *sessions, from_s, to_s):
 def test_the_newest_state_of_a_session_counts():
     """A state that comes late changes nothing."""
     partner = Partner()
-    partner.hear("a", 0.0, state("a", 2))
-    partner.hear("a", 0.1, state("a", 1))
+    partner.hear(ONE, 0.0, state(ONE, 2))
+    partner.hear(ONE, 0.1, state(ONE, 1))
     partner.look(0.1)
     assert in_force(partner).serial == 2
 
@@ -35,25 +38,25 @@ def test_the_newest_state_of_a_session_counts():
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
     """The new session of a killed end is in force once the old one has missed a sign of life."""
     partner = Partner()
-    partner.hear("old", 0.0, state("old"))
-    heard(partner, "old", from_s=0.0, to_s=5.0)
-    partner.hear("new", 6.0, state("new"))
+    partner.hear(OLD, 0.0, state(OLD))
+    heard(partner, OLD, from_s=0.0, to_s=5.0)
+    partner.hear(NEW, 6.0, state(NEW))
     partner.look(6.0)
-    assert in_force(partner).session == "old"
-    heard(partner, "new", from_s=6.0, to_s=7.0)
-    assert in_force(partner).session == "new"
+    assert in_force(partner).session == OLD
+    heard(partner, NEW, from_s=6.0, to_s=7.0)
+    assert in_force(partner).session == NEW
 
 
 def test_of_two_ends_the_first_stays_and_the_other_is_named():
     """While both speak, the first one is in force; when it stops, the other one is."""
     partner = Partner()
-    partner.hear("a", 0.0, state("a", host="one"))
+    partner.hear(ONE, 0.0, state(ONE, host="one"))
     partner.look(0.0)
-    partner.hear("b", 0.5, state("b", host="two"))
-    heard(partner, "a", "b", from_s=1.0, to_s=20.0)
+    partner.hear(TWO, 0.5, state(TWO, host="two"))
+    heard(partner, ONE, TWO, from_s=1.0, to_s=20.0)
     assert in_force(partner).host == "one"
     assert partner.others(20.0) == ["two"]
-    heard(partner, "b", from_s=21.0, to_s=23.0)
+    heard(partner, TWO, from_s=21.0, to_s=23.0)
     assert in_force(partner).host == "two"
     assert partner.others(23.0) == []
 
@@ -61,7 +64,7 @@ def test_of_two_ends_the_first_stays_and_the_other_is_named():
 def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     """In an outage the end is unreachable but known; after half a minute it is gone."""
     partner = Partner()
-    partner.hear("a", 0.0, state("a"))
+    partner.hear(ONE, 0.0, state(ONE))
     partner.look(0.0)
     assert partner.is_reachable(3.0)
     partner.look(20.0)
@@ -70,6 +73,6 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     partner.look(31.0)
     assert partner.state is None
     assert not partner.is_reachable(31.0)
-    partner.hear("a", 40.0)
+    partner.hear(ONE, 40.0)
     partner.look(40.0)
     assert in_force(partner)

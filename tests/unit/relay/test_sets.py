@@ -2,15 +2,16 @@
 
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.relay.envelope import Record
-from arpd.relay.sets import Sets
+from arpd.relay.sets import Sets, stamp_of
 
 
 def sample(member, stamp):
-    return Record(member, member, stamp, b"\0\1\0\0" + struct.pack("<iI", 0, stamp))
+    return Record(bytes([member] * 8), stamp, b"\0\1\0\0" + struct.pack("<iI", 0, stamp))
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=40), st.randoms())
@@ -19,8 +20,8 @@ def test_only_whole_sets_leave_and_each_once(given_by, random):
     queues = [[sample(m, k) for k, present in enumerate(given_by) if present[m]] for m in range(3)]
     sets, left = Sets({0, 1, 2}), []
     while any(queues):
-        queue = random.choice([queue for queue in queues if queue])
-        if (whole := sets.add(queue.pop(0))) is not None:
+        member = random.choice([member for member, queue in enumerate(queues) if queue])
+        if (whole := sets.add(member, queues[member].pop(0))) is not None:
             left.append(whole)
     expected = [k for k, present in enumerate(given_by) if all(present)]
     assert left == [[sample(member, k) for member in range(3)] for k in expected]
@@ -29,18 +30,32 @@ def test_only_whole_sets_leave_and_each_once(given_by, random):
 def test_a_set_needs_only_the_members_that_are_wanted():
     """Where two of three topics are read, sets of those two leave."""
     sets = Sets({0, 2})
-    assert sets.add(sample(0, 1)) is None
-    assert sets.add(sample(1, 1)) is None
-    assert sets.add(sample(2, 1)) == [sample(0, 1), sample(2, 1)]
+    assert sets.add(0, sample(0, 1)) is None
+    assert sets.add(1, sample(1, 1)) is None
+    assert sets.add(2, sample(2, 1)) == [sample(0, 1), sample(2, 1)]
 
 
 def test_samples_of_sets_that_stay_incomplete_are_counted():
     """A complete set drops the older ones, and too many begun sets drop the oldest."""
     sets = Sets({0, 1})
     for stamp in range(5):
-        sets.add(sample(0, stamp))
-    assert sets.add(sample(1, 4)) is not None
+        sets.add(0, sample(0, stamp))
+    assert sets.add(1, sample(1, 4)) is not None
     assert sets.dropped == 4
     for stamp in range(10, 10 + 65):
-        sets.add(sample(0, stamp))
+        sets.add(0, sample(0, stamp))
     assert sets.dropped == 5
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_stamp_is_read_in_either_byte_order(order):
+    """The stamp of a serialized header is seconds and nanoseconds, in the byte order that the sample names."""
+    sample = bytes([0, order == "<", 0, 0]) + struct.pack(order + "iI", 12, 34) + b"rest"
+    assert stamp_of(sample) == (12, 34)
+
+
+@pytest.mark.parametrize("sample", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(8)])
+def test_a_sample_without_a_stamp_is_refused(sample):
+    """Too short a sample, or one in another encoding, has no stamp."""
+    with pytest.raises(ValueError, match="stamp"):
+        stamp_of(sample)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapPhase, SwapRecord, WithheldCause
 from arpd.model.plan import PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.relay.offers import EndState, ServiceOffer, TopicOffer
+from arpd.relay.ends.offers import EndState, ServiceOffer, TopicOffer
 from arpd.relay.status import topics_of
 from arpd.ros.documents import expand
 from arpd.ros.node_snapshot import JOINED, LIKELY, MOST_BYTES, MOST_OF_NODE, encode_snapshot
@@ -230,14 +230,14 @@ def offer(*names):
 def test_each_refusal_counts_in_its_direction():
     """An end refuses what enters its side, or, where nobody offers that there, what leaves it."""
     here = EndState(
-        session="1",
+        session=1,
         serial=1,
         topics=offer("/imu", "/odd"),
         wants=frozenset({"/cmd", "/gone"}),
         refused={"/cmd": "a", "/odd": "b", "/plan": "c"},
     )
     there = EndState(
-        session="2",
+        session=2,
         serial=1,
         topics=offer("/cmd", "/goal"),
         services={"/plan": ServiceOffer(type_name="s/srv/S", node="/n")},

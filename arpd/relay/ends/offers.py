@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, TypeVar
 
-from arpd.ros.documents import MOST_INTEGER, integer, pack, unpack
+from pydantic import FailFast, Field, TypeAdapter, ValidationError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from dataclasses import Field
+from arpd.relay.envelope import WRAP
+from arpd.ros.documents import MOST_INTEGER, pack, unpack
 
-VERSION = 5
-_SESSION = re.compile(r"[0-9a-f]{16}")
+VERSION = 6
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
+T = TypeVar("T")
+_Period = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
+# Each fault in a message is written down, so it may not have too many.
+_ByName = Annotated[Mapping[str, T], Field(max_length=20_000)]
 
 
 class OtherVersionError(ValueError):
@@ -27,7 +29,6 @@ class WriterOffer:
 
     Parameters
     ----------
-    number : stands for it in the samples
     node : its node
     gid : its DDS GUID, in hexadecimal digits
     is_reliable, is_latched : its reliability and durability
@@ -35,14 +36,13 @@ class WriterOffer:
     is_manual, is_alive : whether it asserts its liveliness by topic, and has done so within its lease
     """
 
-    number: int
     node: str
     gid: str
     is_reliable: bool = True
     is_latched: bool = False
-    deadline_ns: int = 0
-    lifespan_ns: int = 0
-    lease_ns: int = 0
+    deadline_ns: _Period = 0
+    lifespan_ns: _Period = 0
+    lease_ns: _Period = 0
     is_manual: bool = False
     is_alive: bool = False
 
@@ -57,17 +57,15 @@ class TopicOffer:
     type_hash : of the definition that its writers have (REP 2016), as "RIHS01_..."; empty = they do not tell one
     writers : its writers
     link_name : name under which it crosses the link; all topics of a group have one
-    member : its place in the group, 0 without one
     planned_depth, planned_deadline_ns : the daemon's plan for it, or for its group; no plan = 0 (samples, ns)
     """
 
     type_name: str
-    writers: tuple[WriterOffer, ...]
+    writers: Annotated[tuple[WriterOffer, ...], FailFast()]
     link_name: str
-    member: int = 0
     type_hash: str = ""
-    planned_depth: int = 0
-    planned_deadline_ns: int = 0
+    planned_depth: Annotated[int, Field(ge=0, le=5000)] = 0
+    planned_deadline_ns: _Period = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,7 +82,7 @@ class EndState:
 
     Parameters
     ----------
-    session : 16 hexadecimal digits, new with each process
+    session : of its process, new with each
     serial : counts the states of the session
     host : its host name
     arpd : its version of arpd
@@ -95,21 +93,24 @@ class EndState:
     local_gids : the same of those in its local domain
     """
 
-    session: str
-    serial: int
+    session: Annotated[int, Field(gt=0, lt=WRAP)]
+    serial: _Period
     host: str = ""
     arpd: str = ""
-    topics: Mapping[str, TopicOffer] = field(default_factory=dict)
-    services: Mapping[str, ServiceOffer] = field(default_factory=dict)
-    wants: frozenset[str] = frozenset()
-    refused: Mapping[str, str] = field(default_factory=dict)
+    topics: _ByName[TopicOffer] = field(default_factory=dict)
+    services: _ByName[ServiceOffer] = field(default_factory=dict)
+    wants: Annotated[frozenset[str], FailFast()] = frozenset()
+    refused: _ByName[str] = field(default_factory=dict)
     link_gids: str = ""
     local_gids: str = ""
 
 
+_STATE = TypeAdapter(EndState)
+
+
 def encode_state(state: EndState) -> bytes:
     """Return the state as bytes."""
-    return pack({"version": VERSION, **asdict(state), "wants": sorted(state.wants)})
+    return pack({"version": VERSION, **_STATE.dump_python(state, mode="json")})
 
 
 def decode_state(data: bytes) -> EndState:
@@ -127,37 +128,7 @@ def decode_state(data: bytes) -> EndState:
         words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
         raise OtherVersionError(f"{words}; install one arpd on both ends")
     try:
-        state: EndState = _read(EndState, document)
-    except (KeyError, TypeError, AttributeError) as fault:
-        raise ValueError(f"no state of a relay ({fault})") from fault
-    return state
-
-
-def _read(kind: Any, document: Any) -> Any:
-    """Return a record from its values by name."""
-    return kind(**{each.name: _value(each, document[each.name]) for each in fields(kind)})
-
-
-def _value(of: Field[Any], value: Any) -> Any:
-    if of.name in _READERS:
-        return _READERS[of.name](value)
-    if of.type == "int":
-        return integer(of.name, value, most=_MOST.get(of.name, MOST_INTEGER))
-    return value is True if of.type == "bool" else str(value)
-
-
-def _session(value: Any) -> str:
-    if not isinstance(value, str) or not _SESSION.fullmatch(value):
-        raise ValueError(f"{value!r} is no session")
-    return value
-
-
-_MOST = {"number": 2**16 - 1, "member": 2**16 - 1, "planned_depth": 5000}  # the first two have 16 bits in a sample
-_READERS: Mapping[str, Callable[[Any], Any]] = {
-    "session": _session,
-    "topics": lambda topics: {str(name): _read(TopicOffer, topic) for name, topic in topics.items()},
-    "writers": lambda writers: tuple(_read(WriterOffer, writer) for writer in writers),
-    "services": lambda services: {str(name): _read(ServiceOffer, service) for name, service in services.items()},
-    "wants": lambda wants: frozenset(map(str, wants)),
-    "refused": lambda refused: {str(name): str(reason) for name, reason in refused.items()},
-}
+        return _STATE.validate_python(document)
+    except ValidationError as faults:
+        fault = faults.errors(include_url=False)[0]
+        raise ValueError(f"no state of a relay ({'.'.join(map(str, fault['loc']))}: {fault['msg']})") from faults
