@@ -81,7 +81,7 @@ def fragments(_here: Here, *, proc: Path = PROC) -> Finding:
 
 def profile(here: Here) -> Finding:
     """Judge whether the processes of all AdaptivePublishers have arpd's Fast DDS profile."""
-    if not (lacking := sorted({topic.node for topic in here.status.topics if topic.lacks_profile})):
+    if not (lacking := sorted({topic.node for topic in here.status.topics if topic.confirmed.lacks_profile})):
         return fine("no AdaptivePublisher says that it lacks arpd's Fast DDS profile")
     return wrong(
         f"{count(len(lacking), 'node')} with AdaptivePublishers without arpd's Fast DDS profile: {listed(lacking)}; "
@@ -150,11 +150,11 @@ def _other_numpy(one: PythonRos) -> str:
 
 def rmw(here: Here) -> Finding:
     """Judge the middleware: the daemon's, as no shell's environment reaches its unit, else this shell's."""
-    told = None if isinstance(here.told, NotKnownError) else here.told.rmw
-    name = told.name if told else here.pythons[0].rmw
+    told = None if isinstance(here.told, NotKnownError) else here.told
+    name = told.rmw if told else here.pythons[0].rmw
     if not name:
         return unknown("neither a daemon nor rclpy tells it")
-    if not (refusal := told.refusal if told else rmw_of(name).refusal):
+    if not (refusal := told.rmw_refusal if told else rmw_of(name).refusal):
         return fine(name)
     lines = [f"export {_FAST_DDS}   # for all nodes of both ends"]
     if told:

@@ -14,7 +14,7 @@ from arpd.report.wording import count, listed
 
 if TYPE_CHECKING:
     from arpd.cli.checkup import Finding, Here
-    from arpd.web.api.observed import Peer
+    from arpd.web.api import Peer
 
 _MOST_OFFSET_S = 0.02  # a robot that turns at 1 rad/s is 1.1° further on by then
 _LEAST_SIGNAL_DBM = -75
@@ -53,14 +53,14 @@ def clock(here: Here) -> Finding:
     """Judge the offset between the ends: tf2 compares time stamps of both."""
     if not (peers := here.status.peers):
         return unknown("no peer was heard in the last minute; run `arpd peer` on the base computer")
-    farthest_first = sorted(peers, key=lambda peer: -abs(peer.clock_offset_seconds or 0.0))
+    farthest_first = sorted(peers, key=lambda peer: -abs(peer.clock.offset_s if peer.clock else 0.0))
     return max(map(_clock_of, farthest_first), key=badness)
 
 
 def _clock_of(peer: Peer) -> Finding:
-    offset_s, error_s = peer.clock_offset_seconds, peer.clock_uncertainty_seconds
-    if offset_s is None or error_s is None:
+    if peer.clock is None:
         return unknown(f"{peer.peer} answered no probe in the last 30 s")
+    offset_s, error_s = peer.clock.offset_s, peer.clock.uncertainty_s
     found = f"the clock of {peer.peer} is {format_duration(abs(offset_s))} {'ahead of' if offset_s > 0 else 'behind'} "
     found += f"the robot's (± {format_duration(error_s)})"
     kept = {True: "; this computer's is synchronised", False: "; this computer's is not synchronised", None: ""}

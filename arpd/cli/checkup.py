@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from arpd.host.discovery import HeardDiscovery
     from arpd.ros.installation import PythonRos
-    from arpd.web.api.status import Status
+    from arpd.web.api import Status
 
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
 _UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")

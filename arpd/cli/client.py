@@ -1,4 +1,4 @@
-"""Questions to a running daemon over HTTP: its address, the login, and its documents, read by the models of the API."""
+"""Questions to a running daemon over HTTP: its address, the login, and its documents."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from pydantic import ValidationError
 from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
-from arpd.web.api.history import History
-from arpd.web.api.status import Status
+from arpd.web.api import History, Status
+from arpd.web.json_text import read
 
 if TYPE_CHECKING:
     import argparse
@@ -226,7 +226,7 @@ def read_status(document: dict[str, Any], *, url: str) -> Status | None:
     if "link" not in document and document.get("ready") is False:
         return None
     try:
-        return Status.model_validate(_shown(document))
+        return read(Status, _shown(document))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = printable(".".join(map(str, first["loc"])))
@@ -239,7 +239,7 @@ def read_status(document: dict[str, Any], *, url: str) -> Status | None:
 def read_history(document: object) -> History | None:
     """Return a history document as its model, None where it is something else."""
     try:
-        return History.model_validate(_shown(document))
+        return read(History, _shown(document))
     except ValidationError:
         return None
 

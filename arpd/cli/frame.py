@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -21,27 +22,26 @@ from arpd.model.quantities import (
     format_size,
     printable,
 )
-from arpd.report.conditions import Severity
+from arpd.report.conditions import Condition
 from arpd.report.situation import SLOWED_BELOW
 from arpd.report.wording import PACED_ONLY, confirmed, lease
-from arpd.web.api.status import Finding
+from arpd.web.api import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rich.console import Console, ConsoleOptions, RenderableType
 
-    from arpd.web.api.endpoints import Qos, Topic
-    from arpd.web.api.history import History
-    from arpd.web.api.observed import Relay
-    from arpd.web.api.status import Status
+    from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import TopicPlan
+    from arpd.model.relay import RelaySummary
+    from arpd.web.api import History, Status, Topic
 
     Show = Callable[[float], str]
 
 _LABEL, _FIGURES, _LEGEND = 9, 44, 14
 _LEAST_SPARKLINE, _MOST_SPARKLINE = 8, 60
 _LEAST_EVENTS, _PRINTED_EVENTS = 3, 5
-_WORDS = {"floor": "minimum rate"}  # of what binds a topic; the others say what they are
 _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
@@ -53,7 +53,8 @@ _NOT_READY = "Not ready: the daemon has just started or is stuck; if this stays,
 def findings(status: Status | None) -> list[Finding]:
     """Return what the daemon says of its situation: its verdict, then faults, the worst first."""
     if status is None or not status.ready:
-        return [Finding.model_construct(text=_NOT_READY, severity=Severity.ERROR, wrong=True)]
+        what = Condition.STALE
+        return [Finding(condition=what, severity=what.severity, headline="Not ready", text=_NOT_READY, wrong=True)]
     return [status.verdict, *status.faults]
 
 
@@ -91,8 +92,8 @@ class Frame:
     def _head(self, width: int) -> Iterator[Text]:
         at, url = "", f", {printable(self.url, longest=80)}" if self.url else ""
         if status := self.status:
-            at = wall_clock(status.unix_time_seconds)
-            age = "age unknown" if status.age_seconds is None else f"{format_duration(status.age_seconds)} ago"
+            at = wall_clock(status.unix_time_s)
+            age = f"{format_duration(status.age_s)} ago" if math.isfinite(status.age_s) else "age unknown"
             yield Text(f"arpd {status.version} on {status.interface or 'no link'}, {at} ({age}){url}", style="bold")
         else:
             yield Text(f"arpd{url}", style="bold")
@@ -122,20 +123,22 @@ class Frame:
     def _courses(self, status: Status, width: int) -> list[Text]:
         """Return the values that the history has a course of, now and over the last ten minutes."""
         link, past = status.link, self.history
-        queue = [format_duration(link.queue_delay_seconds)]
+        queue = [format_duration(link.queue_delay_s)]
         queue += [] if link.loss_ratio is None else [f"loss {format_share(link.loss_ratio)}"]
-        back_s = link.return_delay_seconds
+        back_s = link.return_delay_s
         queue += [] if back_s is None else [f"return delay {format_duration(back_s)}"]
         capacity = f"{format_rate(link.capacity_bytes_per_second)} ({link.kind}, {link.state})"
-        rates = past.link.capacity_bytes_per_second if past else []
-        delays = past.link.queue_delay_seconds if past else []
+        rates, delays, allowed = (
+            past.link.get(name, ()) if past else ()
+            for name in ("capacity_bytes_per_second", "queue_delay_s", "allowed_ratio")
+        )
         courses: list[tuple[str, str, Sequence[float | None], Callable[[Iterable[float]], float], Show]] = [
             ("link", capacity, rates, _mean, format_rate),
             ("queue", ", ".join(queue), delays, max, format_duration),
             (
                 "allowed",
-                f"{format_share(status.gate)} above the minimum rates",
-                past.gate if past else [],
+                f"{format_share(status.allowed_ratio)} above the minimum rates",
+                allowed,
                 min,
                 format_share,
             ),
@@ -160,14 +163,14 @@ def _facts(status: Status, width: int, *, most: int = 2) -> list[Text]:
     facts = [
         ("traffic", _traffic(status)),
         ("evidence", status.link.evidence),
-        ("plan", f"{plan.generation} for {format_rate(status.level_bytes_per_second)}: {confirms}"),
+        ("plan", f"{plan.generation} for {format_rate(plan.level_bytes_per_second)}: {confirms}"),
         ("", "; ".join(filter(None, [plan.reason, *(f"refused {refusal}" for refusal in plan.refusals)]))),
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
         ("withheld", _withheld_by_all(status.topics)),
-        ("lease", lease(status.lease.after_seconds) if status.lease.after_seconds else ""),
-        ("rmw", status.rmw.refusal if status.rmw else ""),
-        *(("daemons", f"in charge; another one stands by on {host}") for host in status.daemons.others),
+        ("lease", lease(status.lease_s) if status.lease_s else ""),
+        ("rmw", status.rmw_refusal),
+        *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
     ]
     return [
         _labelled(line)
@@ -179,12 +182,12 @@ def _facts(status: Status, width: int, *, most: int = 2) -> list[Text]:
 
 def _traffic(status: Status) -> str:
     link = status.link
-    budget = format_rate(status.allocation.capacity_bytes_per_second)
+    budget = format_rate(status.budget_bytes_per_second)
     said = f"delivering {format_rate(link.delivery_rate_bytes_per_second)}, budget {budget}"
-    if not link.foreign_bytes_per_second:
+    if not link.cross_traffic_bytes_per_second:
         return said
     left = format_rate(link.available_bytes_per_second)
-    return f"{said}, {format_rate(link.foreign_bytes_per_second)} of cross traffic, {left} left"
+    return f"{said}, {format_rate(link.cross_traffic_bytes_per_second)} of cross traffic, {left} left"
 
 
 def _program(status: Status) -> str:
@@ -192,10 +195,10 @@ def _program(status: Status) -> str:
     solved, memory = status.allocation, status.memory
     said = f"{solved.status}, bound by {solved.binding.replace('_', ' ')}"
     left = f"{format_size(memory.available_bytes)} of {format_size(memory.total_bytes)} memory available"
-    return f"{said} ({solved.backend}, {format_duration(solved.solve_seconds)}); {left}"
+    return f"{said} ({solved.backend}, {format_duration(solved.solve_s)}); {left}"
 
 
-def _relay(relay: Relay) -> str:
+def _relay(relay: RelaySummary) -> str:
     """Say what crosses between the two ends of the relay."""
     to_base, to_robot = (f"{way.wanted} of {way.offered}" for way in (relay.to_base, relay.to_robot))
     others = (
@@ -205,27 +208,27 @@ def _relay(relay: Relay) -> str:
         (len(relay.strangers), "nodes in the link domain that are not arpd's"),
     )
     host = f" ({relay.other_host})" if relay.other_host else ""
-    now = "cross" if relay.reachable else "wait to cross"
+    now = "cross" if relay.is_reachable else "wait to cross"
     crosses = f"{to_base} topics {now} to the base computer{host}, {to_robot} to the robot"
     return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
 
 
 def _withheld_by_all(topics: Sequence[Topic]) -> str:
     """Say why messages of all topics together were withheld."""
-    withheld, offered = (sum(getattr(topic, name) for topic in topics) for name in ("withheld", "offered"))
+    withheld, offered = (sum(getattr(topic.confirmed, name) for topic in topics) for name in ("withheld", "offered"))
     if not withheld or not offered:
         return ""
     by_cause: Counter[str] = Counter()
     for topic in topics:
-        by_cause.update({cause: many for cause, many in topic.withheld_by_cause.items() if many})
+        by_cause.update({cause: many for cause, many in topic.confirmed.withheld_by_cause.items() if many})
     causes = ", ".join(f"{cause} {many}" for cause, many in by_cause.most_common())
     return f"{withheld} of {offered} messages ({format_share(withheld / offered)})" + (f": {causes}" if causes else "")
 
 
 def _log(status: Status) -> Iterator[Text]:
     for event in status.events:
-        at_s = event.unix_time_seconds
-        is_recent = abs(status.unix_time_seconds - at_s) < _DAY_S
+        at_s = event.unix_time_s
+        is_recent = abs(status.unix_time_s - at_s) < _DAY_S
         when = wall_clock(at_s, "%H:%M:%S" if is_recent else "%b %d %H:%M")
         line = Text(f"{when}  {event.text}", style=_SEVERITIES[event.severity])
         line.stylize("dim", 0, len(when))
@@ -238,19 +241,19 @@ def topic_table(topics: Sequence[Topic]) -> FittedTable:
         ("TOPIC", 0, lambda topic: topic.topic),
         ("NODE", 1, lambda topic: topic.node),
         ("ALLOWED", 0, _allowed),
-        ("SENT", 0, lambda topic: format_number(topic.published_rate_hz)),
-        ("SOURCE", 3, lambda topic: format_number(topic.source_rate_hz)),
+        ("SENT", 0, lambda topic: format_number(topic.confirmed.published_rate_hz)),
+        ("SOURCE", 3, lambda topic: format_number(topic.confirmed.source_rate_hz)),
         ("DEPTH", 4, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
         ("DEADLINE", 5, lambda topic: _moving(topic, lambda qos: _deadline(qos.deadline_ns))),
         ("WITHHELD", 1, _withheld),
-        ("CAUSES", 6, lambda topic: " ".join(f"{c}:{many}" for c, many in topic.withheld_by_cause.items() if many)),
-        ("LATE", 2, lambda topic: str(topic.deadlines_missed)),
+        ("CAUSES", 6, _causes),
+        ("LATE", 2, lambda topic: str(topic.confirmed.deadlines_missed)),
         ("BOUND BY", 0, _bound_by),
     ]
     has_content = {
         "NODE": len({topic.topic for topic in topics}) < len(topics),
-        "CAUSES": any(any(topic.withheld_by_cause.values()) for topic in topics),
-        "LATE": any(topic.deadlines_missed for topic in topics),
+        "CAUSES": any(any(topic.confirmed.withheld_by_cause.values()) for topic in topics),
+        "LATE": any(topic.confirmed.deadlines_missed for topic in topics),
     }
     columns = [column for column in columns if has_content.get(column[0], True)]
     titles, ranks, cells = zip(*columns, strict=True)
@@ -263,7 +266,7 @@ def topic_table(topics: Sequence[Topic]) -> FittedTable:
 def _rank(topic: Topic) -> tuple[bool, float, float, str, str]:
     """Order by what an operator looks for: refusals, then topics that give up most, then those that use most."""
     kept = topic.kept_ratio if _is_slowed(topic) else 1.0
-    return not _is_refused(topic), kept, -(topic.share or 0.0), topic.topic, topic.node
+    return not _is_refused(topic), kept, -(topic.allocation.share if topic.allocation else 0.0), topic.topic, topic.node
 
 
 def _is_slowed(topic: Topic) -> bool:
@@ -271,7 +274,7 @@ def _is_slowed(topic: Topic) -> bool:
 
 
 def _is_refused(topic: Topic) -> bool:
-    return bool(topic.refusal) and not topic.refusal_lasts
+    return bool(topic.confirmed.refusal) and not topic.keeps_qos
 
 
 def _style(topic: Topic) -> str:
@@ -283,30 +286,34 @@ def _style(topic: Topic) -> str:
 
 
 def _allowed(topic: Topic) -> str:
-    paced_hz, ceiling_hz = topic.confirmed.paced_rate_hz, topic.confirmed.rate_hz
-    rate_hz = ceiling_hz if paced_hz is None else paced_hz
-    return "unpaced" if rate_hz is None else format_number(rate_hz)
+    rate_hz = min(topic.confirmed.paced_rate_hz, topic.confirmed.rate_hz)
+    return format_number(rate_hz) if math.isfinite(rate_hz) else "unpaced"
 
 
-def _moving(topic: Topic, show: Callable[[Qos], str]) -> str:
+def _moving(topic: Topic, show: Callable[[PublisherState | TopicPlan], str]) -> str:
     """Show the announced value, and the planned one where the two differ."""
     now, planned = show(topic.confirmed), show(topic.planned or topic.confirmed)
     return now if now == planned else f"{now}→{planned}"
 
 
-def _deadline(period_ns: int | None) -> str:
-    return "none" if period_ns is None else format_period(period_ns)
+def _deadline(period_ns: int) -> str:
+    return format_period(period_ns) if period_ns else "none"
 
 
 def _withheld(topic: Topic) -> str:
     """Show the share of offered messages that the publisher has withheld since it began."""
-    return format_share(topic.withheld / topic.offered) if topic.offered else str(topic.withheld)
+    withheld, offered = topic.confirmed.withheld, topic.confirmed.offered
+    return format_share(withheld / offered) if offered else str(withheld)
+
+
+def _causes(topic: Topic) -> str:
+    return " ".join(f"{cause}:{many}" for cause, many in topic.confirmed.withheld_by_cause.items() if many)
 
 
 def _bound_by(topic: Topic) -> str:
-    if topic.refusal:
-        return f"{PACED_ONLY}: {topic.refusal}" if topic.refusal_lasts else topic.refusal
-    return _WORDS.get(topic.binding, topic.binding.replace("_", " ")) if topic.binding else "-"
+    if refusal := topic.confirmed.refusal:
+        return f"{PACED_ONLY}: {refusal}" if topic.keeps_qos else refusal
+    return topic.allocation.binding.replace("_", " ") if topic.allocation else "-"
 
 
 def _squeezed(above: Sequence[Text], topics: Sequence[Topic], log: Sequence[Text], height: int) -> list[RenderableType]:

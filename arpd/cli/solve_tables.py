@@ -22,7 +22,7 @@ _WORDS = {
     Binding.DESIRED_RATE: "desired",
     Binding.LATENCY_BUDGET: "latency",
     Binding.MAX_DEPTH: "max",
-    Binding.FLOOR: "minimum",
+    Binding.MINIMUM: "minimum",
 }
 _SATISFIED, _AT_FLOOR, _BELOW_FLOOR = "=", "_", "!"
 _LEGEND = (

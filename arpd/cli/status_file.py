@@ -21,7 +21,7 @@ _Count = Annotated[int, Field(ge=0, le=10**12)]
 _STRICT = ConfigDict(strict=True)
 
 
-class _Topic(BaseModel):
+class _Publisher(BaseModel):
     model_config = _STRICT
     direction: Direction
     topic: str
@@ -29,20 +29,20 @@ class _Topic(BaseModel):
     payload_bytes: _Amount
     source_rate_hz: _Amount
     remote_readers: _Count
-    requested_deadline_ns: _Count | None = None
+    requested_deadline_ns: _Count = 0
 
 
-class _Graph(BaseModel):
+class _Topic(BaseModel):
     model_config = _STRICT
-    sensing_topics: _Count = 0
-    actuation_topics: _Count = 0
+    confirmed: _Publisher
 
 
 class _Document(BaseModel):
     model_config = _STRICT
     api_version: str
     topics: list[_Topic] | None = None
-    graph: _Graph = _Graph()
+    sensing_topics: _Count = 0
+    actuation_topics: _Count = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,13 +87,13 @@ def read_status(path: Path) -> SavedStatus:
     if document.topics is None:
         raise ArpdError(f"{name}: was saved before the daemon was ready; {save}")
     return SavedStatus(
-        publishers=tuple(map(_publisher, document.topics)),
-        sensing_topics=document.graph.sensing_topics,
-        actuation_topics=document.graph.actuation_topics,
+        publishers=tuple(_publisher(topic.confirmed) for topic in document.topics),
+        sensing_topics=document.sensing_topics,
+        actuation_topics=document.actuation_topics,
     )
 
 
-def _publisher(row: _Topic) -> PublisherState:
+def _publisher(row: _Publisher) -> PublisherState:
     return PublisherState(
         node=row.node,
         topic=row.topic,
@@ -102,7 +102,7 @@ def _publisher(row: _Topic) -> PublisherState:
         payload_bytes=row.payload_bytes,
         source_rate_hz=row.source_rate_hz,
         remote_readers=row.remote_readers,
-        requested_deadline_ns=row.requested_deadline_ns or 0,
+        requested_deadline_ns=row.requested_deadline_ns,
         # The plan of that time does not matter for a new one.
         depth=1,
         baseline_depth=1,

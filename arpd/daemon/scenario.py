@@ -63,7 +63,7 @@ class Moment:
     level_bytes_per_second : level of the plan in force (bytes/s)
     budget_bytes_per_second : total that the topics may use now (bytes/s)
     packet_overhead_s : the estimator's link time per packet beyond its bytes (s)
-    gate : part of the traffic above the floors that the price admits, 0..1
+    allowed : part of the traffic above the floors that the price allows, 0..1
     generation : generation of the plan
     planned, confirmed : publishers in the plan, and those that announce it
     cause : cause of a plan made since the last moment, empty if there is none
@@ -82,7 +82,7 @@ class Moment:
     budget_bytes_per_second: float | None = None
     packet_overhead_s: float | None = None
     state: LinkState | None = None
-    gate: float = 1.0
+    allowed: float = 1.0
     generation: int = 0
     planned: int = 0
     confirmed: int = 0
@@ -374,7 +374,7 @@ def _managed(
             budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
             packet_overhead_s=snapshot.link.packet_overhead_s,
             state=snapshot.link.state,
-            gate=snapshot.decision.gate,
+            allowed=snapshot.decision.allowed,
             generation=snapshot.decision.plan.generation,
             planned=len(snapshot.decision.plan.topics),
             confirmed=snapshot.confirmed,

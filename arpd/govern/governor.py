@@ -111,7 +111,7 @@ class Governor:
     def stand_by(self) -> Decision:
         """Plan nothing; the next `decide` starts without a plan."""
         self._begin()
-        return Decision(gate=1.0, plan=self.plan, level_changed=False, reason="")
+        return Decision(allowed=1.0, plan=self.plan, level_changed=False, reason="")
 
     def decide(
         self,
@@ -142,7 +142,7 @@ class Governor:
                 self._refuse("budget")
         self.refusals_by_reason.update(self._refusals - known)
         return Decision(
-            gate=_admitted(rates, topics),
+            allowed=_allowed(rates, topics),
             price=rates.price,
             plan=self.plan,
             level_changed=bool(cause),
@@ -352,12 +352,12 @@ class Governor:
         self._refusals |= {reason}
 
 
-def _admitted(rates: Allocation, topics: Sequence[Topic]) -> float:
-    """Return the part of the traffic above the floors that the price admits; 1 where there is none."""
+def _allowed(rates: Allocation, topics: Sequence[Topic]) -> float:
+    """Return the part of the traffic above the floors that the price allows; 1 where there is none."""
     wanted = sum(topic.wire_bytes * max(0.0, topic.desired_rate_hz - topic.min_rate_hz) for topic in topics)
     pairs = zip(rates.topics, topics, strict=True)
-    admitted = sum(topic.wire_bytes * max(0.0, row.rate_hz - topic.min_rate_hz) for row, topic in pairs)
-    return min(1.0, admitted / wanted) if wanted > 0 else 1.0
+    allowed = sum(topic.wire_bytes * max(0.0, row.rate_hz - topic.min_rate_hz) for row, topic in pairs)
+    return min(1.0, allowed / wanted) if wanted > 0 else 1.0
 
 
 def _differ(before: float, now: float) -> bool:

@@ -19,7 +19,7 @@ class Binding(StrEnum):
     LATENCY_BUDGET = "latency_budget"
     DESIRED_RATE = "desired_rate"
     MAX_DEPTH = "max_depth"
-    FLOOR = "floor"
+    MINIMUM = "minimum"
     NOTHING = "nothing"
 
 

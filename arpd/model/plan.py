@@ -94,7 +94,7 @@ class Decision:
 
     Parameters
     ----------
-    gate : part of the traffic above the floors that the price admits, 0..1
+    allowed : part of the traffic above the floors that the price allows, 0..1
     plan : the plan in force after this tick
     level_changed : True when this tick made a new plan
     reason : cause of that plan, empty without one
@@ -102,7 +102,7 @@ class Decision:
     refusals : reasons for which a plan that is due was refused
     """
 
-    gate: float = 1.0
+    allowed: float = 1.0
     plan: QosPlan = field(default_factory=QosPlan)
     level_changed: bool = False
     reason: str = ""

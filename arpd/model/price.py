@@ -36,7 +36,7 @@ class Price:
     capacity_bytes_per_second : C, to turn bytes into link time, > 0 (bytes/s)
     packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
     yielding_weight : topics of less weight have no floor now, and those of this weight keep a part of it
-    kept_floor : that part, 0..1
+    kept_minimum : that part, 0..1
     loss_ratio : share of probe packets that the link loses, None while unknown
     budget_share, spare_share : part of the link time that all topics may take, and what none of their rates takes of
         that, for messages larger than a second's rate
@@ -48,7 +48,7 @@ class Price:
     capacity_bytes_per_second: float
     packet_overhead_s: float = 0.0
     yielding_weight: float = 0.0
-    kept_floor: float = 1.0
+    kept_minimum: float = 1.0
     loss_ratio: float | None = None
     budget_share: float = 1.0
     spare_share: float = 0.0
@@ -64,8 +64,8 @@ class Price:
             raise ValueError(f"packet overhead {self.packet_overhead_s!r} must be a number of at least 0")
         if not 0.0 <= self.spare_share <= self.budget_share <= 1.0:
             raise ValueError(f"shares {self.spare_share!r} of {self.budget_share!r}: not a part of a part of the link")
-        if not (0.0 <= self.yielding_weight < math.inf and 0.0 <= self.kept_floor <= 1.0):
-            raise ValueError(f"floors of weight {self.yielding_weight!r} keep {self.kept_floor!r}: not a part of them")
+        if not (0.0 <= self.yielding_weight < math.inf and 0.0 <= self.kept_minimum <= 1.0):
+            raise ValueError(f"weight {self.yielding_weight!r} keeps {self.kept_minimum!r}: not a part of the floors")
 
     def rate_hz(self, plan: Terms) -> float:
         """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
@@ -84,7 +84,7 @@ class Price:
         if self.is_stale:
             return max(plan.min_rate_hz, plan.promised_hz)
         if plan.weight == self.yielding_weight:  # exact: the program's classes of weight are, too
-            return self.kept_floor * plan.min_rate_hz
+            return self.kept_minimum * plan.min_rate_hz
         return plan.min_rate_hz if plan.weight > self.yielding_weight else 0.0
 
     def is_near(self, other: Price, *, tolerance: float) -> bool:
@@ -101,7 +101,7 @@ class Price:
             near(self.share_per_weight * mine, other.share_per_weight * theirs)
             and near(self.packet_overhead_s * mine, other.packet_overhead_s * theirs)
             and self.yielding_weight == other.yielding_weight
-            and near(self.kept_floor, other.kept_floor)
+            and near(self.kept_minimum, other.kept_minimum)
             and abs(self.spare_share - other.spare_share) <= _SHARE_STEP
             and abs(self.budget_share - other.budget_share) <= _SHARE_STEP
         )

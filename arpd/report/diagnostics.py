@@ -118,7 +118,7 @@ def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, s
         ("plan", str(decision.plan.generation)),
         ("made for", format_rate(decision.plan.level_bytes_per_second)),
         ("bound by", str(snapshot.allocation.binding)),
-        ("allowed above the minimum rates", format_share(decision.gate)),
+        ("allowed above the minimum rates", format_share(decision.allowed)),
         ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
         ("waits for", ", ".join(decision.refusals) or "nothing"),
         *slowed[:_MOST_TOPICS],

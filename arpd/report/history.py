@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from arpd.model.quantities import shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Mapping
+    from collections.abc import Callable, Container, Mapping
     from collections.abc import Set as AbstractSet
 
     from arpd.model.endpoints import PublisherState
-    from arpd.model.link import LinkEstimate, LinkState
+    from arpd.model.link import LinkState
     from arpd.model.plan import TopicPlan
     from arpd.report.snapshot import Snapshot
 
@@ -33,33 +33,18 @@ class TopicId(NamedTuple):
     node: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LinkSample:
-    """The estimate of the link at one moment, in five digits; NaN where it was not known.
-
-    Parameters
-    ----------
-    capacity_bytes_per_second, available_bytes_per_second : estimate, and the part left for arpd's topics (bytes/s)
-    budget_bytes_per_second : what the topics may use (bytes/s)
-    level_bytes_per_second : lasting budget that the plan in force was made for (bytes/s)
-    delivery_rate_bytes_per_second : received by the peer (bytes/s)
-    foreign_bytes_per_second : cross traffic (bytes/s)
-    queue_delay_seconds : one-way delay above its minimum (s)
-    loss_ratio : share of probe packets lost
-    gate : allowed part of the traffic above the minimum rates
-    state : `arpd.model.link.LinkState`
-    """
-
-    capacity_bytes_per_second: float
-    available_bytes_per_second: float
-    budget_bytes_per_second: float
-    level_bytes_per_second: float
-    delivery_rate_bytes_per_second: float
-    foreign_bytes_per_second: float
-    queue_delay_seconds: float
-    loss_ratio: float
-    gate: float
-    state: LinkState
+# What each sample holds of the link, by its name in the API.
+LINK_SERIES: dict[str, Callable[[Snapshot], float]] = {
+    "capacity_bytes_per_second": lambda s: s.link.capacity_bytes_per_second,
+    "available_bytes_per_second": lambda s: s.link.available_bytes_per_second,
+    "budget_bytes_per_second": lambda s: s.allocation.capacity_bytes_per_second,
+    "level_bytes_per_second": lambda s: s.decision.plan.level_bytes_per_second,
+    "delivery_rate_bytes_per_second": lambda s: s.link.delivery_rate_bytes_per_second,
+    "cross_traffic_bytes_per_second": lambda s: s.link.cross_traffic_bytes_per_second,
+    "queue_delay_s": lambda s: s.link.queue_delay_s,
+    "loss_ratio": lambda s: math.nan if s.link.loss_ratio is None else s.link.loss_ratio,
+    "allowed_ratio": lambda s: s.decision.allowed,
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,7 +55,8 @@ class Sample:
     ----------
     at_s : monotonic clock (s)
     unix_time_s : wall clock at the same moment (s)
-    link : the link
+    state : `arpd.model.link.LinkState`
+    link : value of each of `LINK_SERIES`, NaN where it was not known
     slots : slot of each publisher in the rates
     rates_hz : ceiling, published, source and paced rate of each slot, NaN = not planned, ``inf`` = unpaced (Hz)
     omitted : live publishers without a slot
@@ -78,7 +64,8 @@ class Sample:
 
     at_s: float
     unix_time_s: float
-    link: LinkSample
+    state: LinkState
+    link: tuple[float, ...]
     slots: Mapping[TopicId, int]
     rates_hz: array[float]
     omitted: int
@@ -122,7 +109,8 @@ class History:
             Sample(
                 at_s=now_s,
                 unix_time_s=snapshot.unix_time_s,
-                link=_link(snapshot.link, snapshot),
+                state=snapshot.link.state,
+                link=tuple(shortened(read(snapshot)) for read in LINK_SERIES.values()),
                 slots=self._slots,
                 rates_hz=values,
                 omitted=len(publishers) - len(self._slots),
@@ -144,19 +132,4 @@ def _rates(publisher: PublisherState, planned: TopicPlan | None) -> tuple[float,
         shortened(publisher.published_rate_hz),
         shortened(publisher.source_rate_hz),
         shortened(publisher.paced_rate_hz),
-    )
-
-
-def _link(link: LinkEstimate, snapshot: Snapshot) -> LinkSample:
-    return LinkSample(
-        capacity_bytes_per_second=shortened(link.capacity_bytes_per_second),
-        available_bytes_per_second=shortened(link.available_bytes_per_second),
-        budget_bytes_per_second=shortened(snapshot.allocation.capacity_bytes_per_second),
-        level_bytes_per_second=shortened(snapshot.decision.plan.level_bytes_per_second),
-        delivery_rate_bytes_per_second=shortened(link.delivery_rate_bytes_per_second),
-        foreign_bytes_per_second=shortened(link.cross_traffic_bytes_per_second),
-        queue_delay_seconds=shortened(link.queue_delay_s),
-        loss_ratio=math.nan if link.loss_ratio is None else shortened(link.loss_ratio),
-        gate=shortened(snapshot.decision.gate),
-        state=link.state,
     )

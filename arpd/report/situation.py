@@ -348,6 +348,6 @@ def _figures(snapshot: Snapshot) -> str:
     return (
         f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
         f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), "
-        f"allowed {format_share(round(decision.gate * _STEPS) / _STEPS)}, "
+        f"allowed {format_share(round(decision.allowed * _STEPS) / _STEPS)}, "
         f"plan {decision.plan.generation}: {who_confirmed(snapshot)}"
     )

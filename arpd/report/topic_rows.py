@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.report.snapshot import Snapshot
 
-_OF_THE_LINK = {Binding.LINK, Binding.FLOOR}
+_OF_THE_LINK = {Binding.LINK, Binding.MINIMUM}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -22,7 +22,7 @@ def encode_price(price: Price) -> list[float]:
         price.capacity_bytes_per_second,
         price.packet_overhead_s,
         price.yielding_weight,
-        price.kept_floor,
+        price.kept_minimum,
         math.nan if price.loss_ratio is None else price.loss_ratio,
         price.budget_share,
         price.spare_share,
@@ -39,7 +39,7 @@ def decode_price(numbers: Sequence[float]) -> Price:
     """
     if len(numbers) != _NUMBERS:
         raise ValueError(f"price of {len(numbers)} numbers; {_NUMBERS} are needed")
-    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_floor, loss, budget, spare = numbers
+    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_minimum, loss, budget, spare = numbers
     if version != _VERSION:
         raise ValueError(f"price of version {version:g}; this arpd understands {_VERSION:g}")
     if not (math.isnan(loss) or 0.0 <= loss <= 1.0):
@@ -49,7 +49,7 @@ def decode_price(numbers: Sequence[float]) -> Price:
         capacity_bytes_per_second=capacity,
         packet_overhead_s=packet_overhead_s,
         yielding_weight=yielding_weight,
-        kept_floor=kept_floor,
+        kept_minimum=kept_minimum,
         loss_ratio=None if math.isnan(loss) else loss,
         budget_share=budget,
         spare_share=spare,

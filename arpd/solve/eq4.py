@@ -120,7 +120,7 @@ class AlikeOnLink(Link):
         least, most = float(rows.min_depths.max()), float(rows.max_depths.max())
         of_link_s, latency_s = most / (self._max_rate_hz or math.inf), float(rows.latencies_s.min())
         justified = min(of_link_s, latency_s) * rate_hz - least
-        depth, binding = least, Binding.FLOOR
+        depth, binding = least, Binding.MINIMUM
         if justified >= least:
             depth, binding = justified, Binding.LATENCY_BUDGET if latency_s < of_link_s else Binding.LINK
         held = memory_bytes / max(1.0, float(rows.slots.sum()))

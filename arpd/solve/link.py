@@ -89,7 +89,7 @@ class Link:
     def divide(self, memory_bytes: float, find: Find) -> Division:
         """Return R = clip(ν·w/a, ℓ, u), with what the price leaves of the floors, and the histories of `_histories`."""
         price, rows = self.price(find), self.rows
-        floors = Yielding(price.yielding_weight, price.kept_floor)
+        floors = Yielding(price.yielding_weight, price.kept_minimum)
         level_hz = price.share_per_weight * rows.weights / self.costs_s
         rates_hz = np.clip(level_hz, self.floors_hz * floors.parts(rows.weights), self.ceilings_hz)
         words = floors.words("minimum rate", rows.weights, self.floors_hz) if self.budget else [NO_CAPACITY]
@@ -102,7 +102,7 @@ class Link:
         return [
             Binding.DESIRED_RATE
             if rate_hz >= ceiling_hz
-            else (Binding.FLOOR if floor_hz and math.isclose(rate_hz, floor_hz) else Binding.LINK)
+            else (Binding.MINIMUM if floor_hz and math.isclose(rate_hz, floor_hz) else Binding.LINK)
             for rate_hz, floor_hz, ceiling_hz in zip(*columns, strict=True)
         ]
 
@@ -113,7 +113,7 @@ class Link:
             capacity_bytes_per_second=self.capacity or 1.0,
             packet_overhead_s=self.packet_overhead_s,
             yielding_weight=floors.weight,
-            kept_floor=floors.kept,
+            kept_minimum=floors.kept,
         )
 
     def _histories(self, memory_bytes: float, find: Find) -> tuple[Column, list[Binding], list[str]]:
@@ -142,11 +142,11 @@ class Link:
             depths = np.where(slots > 0.0, np.clip(level * rows.weights / slots, kept, most), most)
         ceilings = np.select(
             [justified < least, justified >= rows.max_depths, rows.latencies_s < of_link_s],
-            [Binding.FLOOR, Binding.MAX_DEPTH, Binding.LATENCY_BUDGET],
+            [Binding.MINIMUM, Binding.MAX_DEPTH, Binding.LATENCY_BUDGET],
             Binding.LINK,
         )
         lacks_memory = is_short | (depths < least)
         bindings = np.select(
-            [lacks_memory, depths >= most, depths > least], [Binding.MEMORY, ceilings, Binding.MEMORY], Binding.FLOOR
+            [lacks_memory, depths >= most, depths > least], [Binding.MEMORY, ceilings, Binding.MEMORY], Binding.MINIMUM
         )
         return depths, [Binding(each) for each in bindings.tolist()], words

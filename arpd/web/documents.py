@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from prometheus_client import generate_latest
 
-from arpd.web.api.history import history_json
-from arpd.web.api.part import API_VERSION
-from arpd.web.api.status import status_json
+from arpd.web.api import API_VERSION, history_json, status_json
 
 if TYPE_CHECKING:
     import threading

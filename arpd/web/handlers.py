@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, cast
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 
 from arpd.web.access import client_of, is_own_name
+from arpd.web.api import History, Status
+from arpd.web.json_text import schema_of
 from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
 from arpd.web.web_config import has_allowed_name
 
@@ -180,10 +182,8 @@ class _Document(_Guarded):
 
 class _Schema(_Guarded):
     def get(self, name: str) -> None:
-        from arpd.web.api.schemas import schema_of  # noqa: PLC0415 - few ask
-
         self.set_header("Content-Type", "application/schema+json")
-        self.write(schema_of(name))
+        self.write(schema_of({"status": Status, "history": History}[name], name))
 
     head = get
 

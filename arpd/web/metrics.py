@@ -59,7 +59,7 @@ _LINK: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
     ),
     ("arpd_link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", lambda s: s.link.age_s),
     (
-        "arpd_link_foreign_bytes_per_second",
+        "arpd_link_cross_traffic_bytes_per_second",
         "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity.",
         lambda s: s.link.cross_traffic_bytes_per_second,
     ),
@@ -127,9 +127,9 @@ _PLAN: tuple[tuple[str, str, Callable[[Snapshot], _Value]], ...] = (
         lambda s: s.allocation.capacity_bytes_per_second,
     ),
     (
-        "arpd_gate_ratio",
+        "arpd_allowed_ratio",
         "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed.",
-        lambda s: s.decision.gate,
+        lambda s: s.decision.allowed,
     ),
     (
         "arpd_level_bytes_per_second",

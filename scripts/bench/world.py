@@ -185,9 +185,9 @@ class World:
         """Note how many samples of each publisher pacing has withheld, and when it said so."""
         now_s, status = time.monotonic(), self.status() if self.side.is_governed else None
         for topic in status["topics"] if status else []:
-            at_s = now_s - (status["age_seconds"] or 0.0) - (topic["age_seconds"] or 0.0) if status else now_s
+            at_s = now_s - (status["age_s"] or 0.0) - (topic["age_s"] or 0.0) if status else now_s
             name = topic["topic"].removeprefix(self.side.way.prefix)
-            self._withheld.setdefault((topic["node"], name), []).append((at_s, topic["withheld"]))
+            self._withheld.setdefault((topic["node"], name), []).append((at_s, topic["confirmed"]["withheld"]))
 
     def _withheld_since(self, from_s: float) -> Counter[str]:
         """Return the samples of each topic that pacing has withheld since then."""

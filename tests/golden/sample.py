@@ -19,7 +19,7 @@ from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
 from arpd.report.situation import found_in
 from arpd.report.snapshot import Snapshot, Totals
-from arpd.web.api.status import status_json
+from arpd.web.api import status_json
 from tests.sample_publishers import publisher
 
 FINISHED_AT_S = 1000.0
@@ -239,7 +239,7 @@ def make_snapshot() -> Snapshot:
         ),
         allocation=_ALLOCATION,
         decision=Decision(
-            gate=0.75, plan=_PLAN, level_changed=False, reason="", price=_ALLOCATION.price, refusals=("dwell",)
+            allowed=0.75, plan=_PLAN, level_changed=False, reason="", price=_ALLOCATION.price, refusals=("dwell",)
         ),
         totals=Totals(
             ticks=9000,

@@ -29,7 +29,7 @@ class Daemon:
 
     def take(self, **link):
         """Take the sample with all traffic admitted, and another link where the test says so."""
-        snapshot = changed(link=link, decision={"gate": 1.0}, finished_at_s=1e9, unix_time_s=time.time())
+        snapshot = changed(link=link, decision={"allowed": 1.0}, finished_at_s=1e9, unix_time_s=time.time())
         self._decision_log.follow(snapshot)
         self.snapshot = replace(snapshot, events=self._decision_log.events)
 

@@ -106,7 +106,7 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force():
     played = play(see=see, duration_s=28.0)
     silent = played.between(9.0, 22.0)
     assert {tick.snapshot.link.state for tick in silent} <= {LinkState.APP_LIMITED, LinkState.STEADY}
-    assert {tick.decision.gate for tick in silent} == {1.0}
+    assert {tick.decision.allowed for tick in silent} == {1.0}
     assert played.plans(8.0, 28.0) == []
     assert settled(played)
 
@@ -126,9 +126,9 @@ def test_a_silence_nobody_breaks_is_an_outage_until_somebody_is_heard(others_hz,
     played = play(see=see, duration_s=30.0)
     first, last = played.between(9.0, 10.0), played.between(22.0, 24.0)
     assert {tick.snapshot.link.state for tick in first} == {LinkState.OUTAGE}
-    assert max(tick.decision.gate for tick in first) < 0.5
+    assert max(tick.decision.allowed for tick in first) < 0.5
     assert {tick.snapshot.link.state is LinkState.OUTAGE for tick in last} == {not is_over}
-    assert {tick.decision.gate for tick in last} == {1.0 if is_over else 0.0}
+    assert {tick.decision.allowed for tick in last} == {1.0 if is_over else 0.0}
     assert LinkState.OUTAGE not in {tick.snapshot.link.state for tick in played.between(26.0, 30.0)}
     assert len(played.plans(8.0, 30.0)) <= 1
     assert settled(played)
@@ -144,7 +144,7 @@ def test_a_step_of_a_clock_is_no_queue_no_outage_and_no_plan(monkeypatch, step_s
 
     undisturbed, played = (play(do=do, duration_s=20.0).between(10.0, 20.0) for do in ({}, {10.0: step}))
     assert played[-1].snapshot.unix_time_s == pytest.approx(undisturbed[-1].snapshot.unix_time_s - step_s, abs=1.0)
-    assert {tick.decision.gate for tick in played} == {1.0}
+    assert {tick.decision.allowed for tick in played} == {1.0}
     assert LinkState.OUTAGE not in {tick.snapshot.link.state for tick in played}
     usual_s, most_s = (max(tick.snapshot.link.queue_delay_s for tick in run) for run in (undisturbed, played))
     assert most_s < usual_s + 0.05

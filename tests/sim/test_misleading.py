@@ -67,7 +67,7 @@ def test_one_drop_without_a_peer_starves_nobody():
 
     light = tuple(topic for topic in ROBOT if topic.name not in {"/camera", "/points"})  # 1.3 of 20 Mbit/s
     played = play(at((0, 20)), 40.0, topics=light, has_peer=False, see=see, model=QUEUE)
-    assert {tick.decision.gate for tick in played.between(5.0, 40.0)} == {1.0}
+    assert {tick.decision.allowed for tick in played.between(5.0, 40.0)} == {1.0}
     assert all(topic.withheld_ratio < 0.05 for topic in played.result.topics)
 
 

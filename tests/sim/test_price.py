@@ -89,7 +89,7 @@ def test_floors_that_do_not_fit_give_way_by_weight():
     assert starved().sent_hz("/camera", *span) < 0.6 * 10.0
     price = starved().between(FREED_S - 5.0, FREED_S)[-1].decision.price
     assert price.yielding_weight == 1.0
-    assert price.kept_floor < 1.0
+    assert price.kept_minimum < 1.0
     assert queues(starved(), *span)[-1] < 1.0
 
 

@@ -131,7 +131,7 @@ def test_these_links_are_hard():
     ticks = [tick for seed in SEEDS for tick in anywhere(seed)]
     assert {LinkState.OUTAGE, LinkState.DRAINING, LinkState.STEADY} <= {tick.snapshot.link.state for tick in ticks}
     assert {"start", "down"} <= {cause for _, cause in plans(ticks)}
-    assert min(tick.decision.gate for tick in ticks) == 0.0
+    assert min(tick.decision.allowed for tick in ticks) == 0.0
     assert max(tick.snapshot.link.queue_delay_s for tick in ticks) > 0.5
 
 

@@ -195,7 +195,7 @@ UPLOAD = (flow(UPLOAD_S, UPLOAD_END_S, 2.0),)
         ("0:20mbit", OUTAGE_S, {"outages": (OUTAGE,)}),
     ],
 )
-def test_what_is_arpds_own_is_not_called_foreign(schedule, duration_s, more):
+def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
     """Alone on the link, less than 5 % counts as cross traffic, resends included."""
     moments = play(schedule, duration_s, **more).moments
     assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05

@@ -10,21 +10,16 @@ from arpd.sim.demo import demo_topics
 from tests.golden.sample import FINISHED_AT_S, changed, held, status_of
 from tests.sample_publishers import publisher
 
-_COLUMNS = ("available", "budget", "level", "delivery_rate", "foreign")
 HISTORY = {
     "api_version": "v1",
-    "unix_time_seconds": 1e9,
-    "period_seconds": 1.0,
-    "span_seconds": 600.0,
+    "unix_time_s": 1e9,
     "times": [1e9 - age for age in range(600)],
+    "states": ["steady"] * 600,
     "link": {
         "capacity_bytes_per_second": [None] * 100 + [2.5e6] * 250 + [6e5] * 250,
-        "queue_delay_seconds": [0.0] * 349 + [0.35] + [0.0] * 250,
-        **{f"{name}_bytes_per_second": [None] * 600 for name in _COLUMNS},
-        "loss_ratio": [None] * 600,
-        "state": ["steady"] * 600,
+        "queue_delay_s": [0.0] * 349 + [0.35] + [0.0] * 250,
+        "allowed_ratio": [1.0] * 350 + [0.5] + [1.0] * 249,
     },
-    "gate": [1.0] * 350 + [0.5] + [1.0] * 249,
     "topics": [],
     "topics_omitted": 0,
     "events": [],
@@ -82,8 +77,9 @@ def event(number, text, *, kind="plan", severity="info", at_s=1e9):
     """Return a line of the decision log."""
     return {
         "number": number,
-        "unix_time_seconds": at_s,
-        "event": kind,
+        "at_s": 1.0,
+        "unix_time_s": at_s,
+        "kind": kind,
         "severity": severity,
         "text": text,
         "topic": "",
@@ -96,20 +92,21 @@ def busy():
     """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
     answered = document(observation={"publishers": demo_robot(), "relay": None})
     by_name = {topic["topic"]: topic for topic in answered["topics"]}
+    slowed = next(topic["allocation"] for topic in document()["topics"] if topic["topic"] == "/camera/image")
     for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
         topic = by_name[name]
-        topic |= {"binding": "link", "share": 0.3, "kept_ratio": ratio}
+        topic |= {"kept_ratio": ratio, "allocation": slowed | {"name": name}}
         topic["planned"] = {
-            "rate_hz": topic["source_rate_hz"] * ratio,
+            "rate_hz": topic["confirmed"]["source_rate_hz"] * ratio,
             "min_rate_hz": 0.0,
             "depth": 10,
-            "deadline_ns": None,
+            "deadline_ns": 0,
             "weight": 1.0,
             "wire_bytes": 1000.0,
             "packets": 1,
         }
-    by_name["/link/odom"] |= {"refusal": "depth 16: no match", "refusal_lasts": False}
-    by_name["/link/imu"]["deadlines_missed"] = 3
+    by_name["/link/odom"]["confirmed"] |= {"refusal": "depth 16: no match"}
+    by_name["/link/imu"]["confirmed"]["deadlines_missed"] = 3
     answered["verdict"] |= {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
     answered["events"] = [event(number, f"event {number}") for number in range(30)]
     return answered

@@ -15,9 +15,9 @@ const CHARTS = [
     least: 1,
     series: [
       { name: "capacity", key: "capacity_bytes_per_second", of: (s) => s.link.capacity_bytes_per_second, color: "--capacity", width: 2 },
-      { name: "budget", key: "budget_bytes_per_second", of: (s) => s.allocation.capacity_bytes_per_second, color: "--budget", dash: [7, 4], stepped: true },
+      { name: "budget", key: "budget_bytes_per_second", of: (s) => s.budget_bytes_per_second, color: "--budget", dash: [7, 4], stepped: true },
       { name: "delivered", key: "delivery_rate_bytes_per_second", of: (s) => s.link.delivery_rate_bytes_per_second, color: "--delivered", filled: true },
-      { name: "cross traffic", key: "foreign_bytes_per_second", of: (s) => s.link.foreign_bytes_per_second, color: "--foreign", dash: [2, 3] },
+      { name: "cross traffic", key: "cross_traffic_bytes_per_second", of: (s) => s.link.cross_traffic_bytes_per_second, color: "--cross-traffic", dash: [2, 3] },
     ],
   },
   {
@@ -26,37 +26,37 @@ const CHARTS = [
     scale: 1e3,
     powers: [10, 1000], // fifty milliseconds and five seconds both show
     notInOutages: true, // there it grows without bound
-    series: [{ name: "queue delay", key: "queue_delay_seconds", of: (s) => s.link.queue_delay_seconds, color: "--delay", filled: true }],
+    series: [{ name: "queue delay", key: "queue_delay_s", of: (s) => s.link.queue_delay_s, color: "--delay", filled: true }],
   },
   {
-    id: "gate",
+    id: "allowed",
     unit: "%",
     scale: 100,
     most: 100,
-    series: [{ name: "allowed", key: "gate", of: (s) => s.gate, color: "--admitted", stepped: true, filled: true }],
+    series: [{ name: "allowed", key: "allowed_ratio", of: (s) => s.allowed_ratio, color: "--allowed", stepped: true, filled: true }],
   },
 ];
 const TOPIC_SERIES = [
-  { name: "source", key: "source_rate_hz", color: "--foreign", dash: [2, 3] },
+  { name: "source", key: "source_rate_hz", of: (t) => t.confirmed.source_rate_hz, color: "--cross-traffic", dash: [2, 3] },
   { name: "allowed", key: "paced_rate_hz", of: (t) => t.confirmed.paced_rate_hz, color: "--budget", dash: [7, 4], stepped: true },
-  { name: "sent", key: "published_rate_hz", color: "--delivered", filled: true },
+  { name: "sent", key: "published_rate_hz", of: (t) => t.confirmed.published_rate_hz, color: "--delivered", filled: true },
 ];
 
 /** The last samples in columns, as in the history document; each status document adds one to each column. */
 class Past {
   constructor(history) {
-    this.spanS = history.span_seconds;
-    this.periodS = history.period_seconds;
+    this.spanS = history.span_s;
+    this.periodS = history.period_s;
     this.times = history.times;
-    this.states = history.link.state;
-    this.columns = new Map(Object.entries({ ...history.link, gate: history.gate }));
+    this.states = history.states;
+    this.columns = new Map(Object.entries(history.link));
     this.topics = new Map(history.topics.map((topic) => [identity(topic), topic]));
-    this.plans = history.events.filter((event) => event.event === "plan").map((event) => event.unix_time_seconds);
+    this.plans = history.events.filter((event) => event.kind === "plan").map((event) => event.unix_time_s);
     this.generation = undefined;
   }
 
   append(status) {
-    const now = status.unix_time_seconds;
+    const now = status.unix_time_s;
     if (this.generation !== undefined && this.generation !== status.plan.generation) this.plans.push(now);
     this.generation = status.plan.generation;
     if (this.times.length > 0 && now < this.times.at(-1) + 0.9 * this.periodS) return;
@@ -68,7 +68,7 @@ class Past {
     for (const [name, topic] of this.topics) {
       for (const one of TOPIC_SERIES) {
         const now = live.get(name);
-        topic[one.key].push((now && (one.of ? one.of(now) : now[one.key])) ?? null);
+        topic[one.key].push((now && one.of(now)) ?? null);
       }
     }
     while (this.times[0] < now - this.spanS) this.#forget();

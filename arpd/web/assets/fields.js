@@ -40,7 +40,7 @@ export const FORMATS = {
   number,
   count: text,
   pace: (value) => (value === null ? "unpaced" : number(value)),
-  period: (value) => (value === null ? "none" : number(value === undefined ? value : value * 1e-6)),
+  period: (value) => (value === 0 ? "none" : number(value === undefined ? value : value * 1e-6)),
   mbit: withUnit("Mbit/s", 8e-6),
   ms: withUnit("ms", 1e3),
   age: withUnit("s", 1),

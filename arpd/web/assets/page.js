@@ -36,7 +36,7 @@ async function ask(path, timeoutMs = TIMEOUT_MS) {
 }
 
 function receive(status) {
-  const step = seen === null ? Infinity : status.unix_time_seconds - seen.status.unix_time_seconds;
+  const step = seen === null ? Infinity : status.unix_time_s - seen.status.unix_time_s;
   seen = { status, atMs: performance.now() };
   failure = "";
   fields.fill(status);
@@ -71,7 +71,7 @@ async function look() {
 }
 
 function showFreshness() {
-  const ageS = seen === null ? 0 : seen.status.age_seconds + (performance.now() - seen.atMs) / 1000;
+  const ageS = seen === null ? 0 : seen.status.age_s + (performance.now() - seen.atMs) / 1000;
   const state = failure ? "lost" : ageS > STALE_S ? "stale" : "live";
   document.body.dataset.freshness = state;
   const said = [];
@@ -79,7 +79,7 @@ function showFreshness() {
   if (state === "stale") said.push("the daemon hangs: no tick finishes");
   if (state === "live") said.push("live");
   if (seen !== null) {
-    const when = `as of ${clock(seen.status.unix_time_seconds)}`;
+    const when = `as of ${clock(seen.status.unix_time_s)}`;
     said.push(state === "live" ? when : `${when}, ${Math.round(ageS)} s ago`);
   }
   freshness.textContent = said.join(" · ");

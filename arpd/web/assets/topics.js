@@ -3,7 +3,7 @@
 import { valueAt } from "./fields.js";
 
 const COLLATOR = new Intl.Collator(undefined, { numeric: true });
-const SEARCHED = ["topic", "node", "type", "direction", "binding", "refusal"];
+const SEARCHED = ["topic", "node", "confirmed.type_name", "confirmed.direction", "allocation.binding", "confirmed.refusal"];
 
 export class Topics {
   /** rows: of the topics, as Fields made them; redraw: fills them again. */
@@ -30,7 +30,7 @@ export class Topics {
     const found = topics.filter(isFound);
     this.found.textContent = words.length > 0 ? `${found.length} of ${topics.length}` : "";
     const sign = this.falls ? -1 : 1;
-    const value = (topic) => valueAt(topic, this.path) ?? (this.path.startsWith("confirmed.") ? Infinity : -Infinity); // unpaced; unknown
+    const value = (topic) => valueAt(topic, this.path) ?? (this.path === "confirmed.paced_rate_hz" ? Infinity : -Infinity); // unpaced; unknown
     return found.sort((one, other) => sign * compared(value(one), value(other)));
   }
 

@@ -46,10 +46,15 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     """At a drop from 20 to 5 Mbit/s rates fall without a plan, then longer deadlines follow; no command is lost."""
     world, url = live
     eventually("every topic confirms its plan", lambda: is_confirmed(world))
-    eventually("each has been swapped", lambda: all(sum(each["swaps"].values()) for each in topics(world).values()))
+    eventually(
+        "each has been swapped",
+        lambda: all(sum(each["confirmed"]["swaps_by_result"].values()) for each in topics(world).values()),
+    )
     before = topics(world)
     for topic in before.values():
-        assert topic["confirmed"]["depth"] != topic["baseline"]["depth"] or topic["confirmed"]["deadline_ns"], topic
+        assert (
+            topic["confirmed"]["depth"] != topic["confirmed"]["baseline_depth"] or topic["confirmed"]["deadline_ns"]
+        ), topic
 
     world.link.set_rate(SLOW)
     paced = []  # the rates and generations of the heavy topics once all of them are slowed
@@ -68,7 +73,7 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
         now = topics(world)
         return is_confirmed(world) and all(
             now[name]["confirmed"]["deadline_ns"] > before[name]["confirmed"]["deadline_ns"]
-            and now[name]["swaps"] != before[name]["swaps"]
+            and now[name]["confirmed"]["swaps_begun"] != before[name]["confirmed"]["swaps_begun"]
             for name in HEAVY
         )
 
@@ -80,7 +85,7 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     for topic in TOPICS:
         assert f'topic="{topic}"' in scraped(url)
     # The application continued: the same publishers, counters without a restart.
-    assert all(after[name]["offered"] > before[name]["offered"] for name in HEAVY)
+    assert all(after[name]["confirmed"]["offered"] > before[name]["confirmed"]["offered"] for name in HEAVY)
 
     now_s = time.monotonic()
     world.children[BASE].ask(do="begin", begin_s=now_s, from_s=now_s, until_s=now_s)
@@ -110,12 +115,12 @@ def is_slow(rate):
     return 0.6 * SLOW < rate < 1.6 * SLOW
 
 
-def test_foreign_traffic_gets_room_and_gives_it_back(live):
+def test_cross_traffic_gets_room_and_gives_it_back(live):
     """Budget and plan yield to an upload beside ROS, and both return when the upload ends."""
     world, url = live
 
-    def foreign():
-        return metric(url, "arpd_link_foreign_bytes_per_second")
+    def cross_traffic():
+        return metric(url, "arpd_link_cross_traffic_bytes_per_second")
 
     def budget():
         return metric(url, "arpd_link_budget_bytes_per_second")
@@ -125,16 +130,16 @@ def test_foreign_traffic_gets_room_and_gives_it_back(live):
 
     world.link.set_rate(SLOW)
     eventually("the estimate falls", lambda: is_slow(metric(url, "arpd_link_capacity_bytes_per_second")))
-    # The discovery of the first swaps counts as foreign for a moment, so the first plan may be for less than the link.
+    # The discovery of the first swaps counts as cross traffic for a moment, so the first plan may be for less.
     eventually("the plan is for the whole link", lambda: is_confirmed(world) and 0.75 * SLOW < level() < 1.6 * SLOW)
-    eventually("nothing is foreign", lambda: foreign() < 0.1 * UPLOAD)
+    eventually("there is no cross traffic", lambda: cross_traffic() < 0.1 * UPLOAD)
 
     upload = world.link.popen("robot", [sys.executable, "-c", SENDER, world.link.base.address, str(UPLOAD)])
-    eventually("the upload is seen", lambda: 0.5 * UPLOAD < foreign() < 1.5 * UPLOAD)
+    eventually("the upload is seen", lambda: 0.5 * UPLOAD < cross_traffic() < 1.5 * UPLOAD)
     eventually("the budget yields", lambda: budget() < 0.75 * SLOW)
     eventually("the plan, which is for what lasts, yields", lambda: level() < 0.75 * SLOW)
     upload.terminate()
-    eventually("the upload is over", lambda: foreign() < 0.1 * UPLOAD)
+    eventually("the upload is over", lambda: cross_traffic() < 0.1 * UPLOAD)
     eventually("the budget returns", lambda: budget() > 0.75 * SLOW)
     eventually("the plan returns", lambda: is_confirmed(world) and level() > 0.75 * SLOW)
 

@@ -101,7 +101,7 @@ def test_nothing_invented_is_planned_for(outcome):
     assert last["arpd_peer_reports_total"] == 0
     assert last["arpd_plan_generation"] < 10
     assert last["arpd_link_capacity_bytes_per_second"] * 8e-6 <= CAPACITY_MBIT
-    assert 0.9 < last["arpd_gate_ratio"] <= 1.0
+    assert 0.9 < last["arpd_allowed_ratio"] <= 1.0
 
 
 def test_every_refusal_is_counted_and_few_are_logged(outcome):

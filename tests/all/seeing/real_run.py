@@ -203,4 +203,4 @@ def _is_confirmed(run: RealRun) -> bool:
 
 
 def _level(run: RealRun) -> float:
-    return run.status()["level_bytes_per_second"]
+    return run.status()["plan"]["level_bytes_per_second"]

@@ -109,7 +109,7 @@ def test_nothing_is_asked_of_anybody_else(daemon, browser):
     with visit(browser, daemon.server.url) as seen:
         seen.await_live()
         seen.await_charts()
-        assert all(seen.drawn(f"#chart-{name} canvas") > 500 for name in ("rate", "delay", "gate", "topic"))
+        assert all(seen.drawn(f"#chart-{name} canvas") > 500 for name in ("rate", "delay", "allowed", "topic"))
         assert {request.removeprefix(daemon.server.url).split("/")[1] for request in seen.requests} <= {
             "",
             "api",

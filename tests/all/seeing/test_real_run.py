@@ -168,16 +168,16 @@ def test_the_page_shows_what_the_status_says(run, browser):
         topics = document["topics"]
         assert seen.texts("#verdict p") == [document["verdict"]["text"]]
         assert seen.texts("[data-field='plan.generation|count']") == [str(document["plan"]["generation"])]
-        named = {f"{topic['topic']} {topic['node']}, {topic['direction']}" for topic in topics}
+        named = {f"{topic['topic']} {topic['node']}, {topic['confirmed']['direction']}" for topic in topics}
         assert set(seen.texts("#topics tbody th")) == named
-        assert sum(topic["direction"] != "local" for topic in topics) >= 12
+        assert sum(topic["confirmed"]["direction"] != "local" for topic in topics) >= 12
         assert all(request.startswith((run.url, "data:")) for request in seen.requests)
 
 
 def test_the_history_has_the_run(run):
     """The outage is in the history at its time, and all columns are as long as the times."""
     history = json.loads(run.get("/api/v1/history"))
-    states = list(zip(history["times"], history["link"]["state"], strict=True))
+    states = list(zip(history["times"], history["states"], strict=True))
 
     def states_between(begin, end):
         return {state for at_s, state in states if run.moments[begin] < at_s < run.moments[end]}

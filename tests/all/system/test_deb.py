@@ -238,7 +238,7 @@ def test_the_enabled_daemon_tunes_a_users_node(running, tmp_path):
     assert f"{ENV}/bin/" in process
     with (tmp_path / "log").open("w") as log:
         row, told = user_world.run_node(running.pi.booted, running.pi.link, log)
-    assert (row["node"], row["refusal"], told) == ("/talker", "", "")
+    assert (row["node"], row["confirmed"]["refusal"], told) == ("/talker", "", "")
 
 
 def test_the_systems_python_imports_the_library_and_nothing_else(running):

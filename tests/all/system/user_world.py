@@ -52,9 +52,8 @@ def is_swapped(row):
     """Return whether the node has swapped its writer to the plan of the daemon."""
     planned, confirmed = row["planned"], row["confirmed"]
     return bool(
-        row["swaps"]
+        confirmed["swaps_by_result"]
         and planned
-        and confirmed
         and (planned["depth"], planned["deadline_ns"]) == (confirmed["depth"], confirmed["deadline_ns"])
     )
 

@@ -13,6 +13,7 @@ from arpd.cli.checks_link import clock, discovery, mtu, power_save, region, sign
 from arpd.cli.checkup import Health
 from arpd.host.discovery import Announcer, HeardDiscovery
 from arpd.host.services import ServiceState
+from arpd.model.probing import ClockOffset
 from arpd.ros.installation import PythonRos
 
 # -- clock
@@ -33,8 +34,10 @@ from arpd.ros.installation import PythonRos
 def test_only_a_clock_that_is_surely_off_is_wrong(offset_s, uncertainty_s, health):
     """More than 20 ms after all that may be error of the measurement; what may be either is not known."""
     peers = [
-        SimpleNamespace(peer=name, clock_offset_seconds=offset, clock_uncertainty_seconds=uncertainty)
-        for name, offset, uncertainty in (("laptop", 0.0, 0.001), ("base", offset_s, uncertainty_s))
+        SimpleNamespace(
+            peer=name, clock=offset if offset is None else ClockOffset(offset_s=offset, uncertainty_s=error)
+        )
+        for name, offset, error in (("laptop", 0.0, 0.001), ("base", offset_s, uncertainty_s))
     ]
     assert clock(SimpleNamespace(status=SimpleNamespace(peers=peers))).health is health
 
@@ -308,7 +311,10 @@ def test_units_that_failed_or_do_not_run_are_wrong(installed, health):
 
 def test_nodes_without_the_profile_are_named():
     """With the line to set."""
-    topics = [SimpleNamespace(node=node, lacks_profile=True) for node in ("/lidar", "/camera", "/camera")]
+    topics = [
+        SimpleNamespace(node=node, confirmed=SimpleNamespace(lacks_profile=True))
+        for node in ("/lidar", "/camera", "/camera")
+    ]
     judged = profile(SimpleNamespace(status=SimpleNamespace(topics=topics)))
     assert judged.health is Health.WRONG
     assert "/camera and /lidar" in judged.text

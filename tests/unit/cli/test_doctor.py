@@ -55,17 +55,9 @@ def status(*, offset_s=0.001, lacks_profile=False):
     answered = document()
     answered |= {
         "version": __version__,
-        "rmw": {"name": "rmw_fastrtps_cpp", "swaps": True, "refusal": ""},
-        "peers": [
-            {
-                "peer": "base",
-                "report_age_seconds": 0.1,
-                "clock_offset_seconds": offset_s,
-                "clock_uncertainty_seconds": 0.001,
-            }
-        ],
+        "peers": [{"peer": "base", "report_age_s": 0.1, "clock": {"offset_s": offset_s, "uncertainty_s": 0.001}}],
     }
-    answered["topics"][0]["lacks_profile"] = lacks_profile
+    answered["topics"][0]["confirmed"]["lacks_profile"] = lacks_profile
     return answered
 
 

@@ -100,7 +100,7 @@ def broken_documents(draw):
 @examples(60)
 @given(
     broken_documents(),
-    st.sampled_from([None, HISTORY, {"link": 3}, {"gate": [HOSTILE[0], None, 1e999]}]),
+    st.sampled_from([None, HISTORY, {"link": 3}, HISTORY | {"link": {"allowed_ratio": [HOSTILE[0], None, 1e999]}}]),
     st.integers(1, 200),
 )
 def test_whatever_answers_neither_breaks_a_frame_nor_steers_the_terminal(answered, history, width):

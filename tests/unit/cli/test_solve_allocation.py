@@ -54,16 +54,16 @@ def status(tmp_path):
 
 
 def measured(topic="/scan", **fields):
-    return {
+    publisher = {
         "topic": topic,
         "node": "/driver",
         "direction": "sensing",
         "payload_bytes": 6000.0,
         "source_rate_hz": 20.0,
         "remote_readers": 1,
-        "requested_deadline_ns": None,
         **fields,
     }
+    return {"topic": topic, "confirmed": publisher}
 
 
 def test_json_is_in_base_units(allocation, config):
@@ -140,7 +140,7 @@ def test_a_real_status_document_is_understood(allocation, config, tmp_path, samp
     [
         ("", "is no status of arpd (file: "),
         ('{"api_version": "v1", "ready": false}', "was saved before"),
-        (json.dumps({"api_version": "v1", "topics": [measured(), {}]}), "is no status of arpd (topics.1.direction: "),
+        (json.dumps({"api_version": "v1", "topics": [measured(), {}]}), "is no status of arpd (topics.1.confirmed: "),
         (
             json.dumps({"api_version": "v1", "topics": [measured(source_rate_hz=float("nan"))]}),
             "is no status of arpd (",

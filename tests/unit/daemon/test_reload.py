@@ -153,7 +153,7 @@ def course(settings, *, reload=None):
         seen = daemon.snapshot
         done.append(
             (
-                decision.gate,
+                decision.allowed,
                 decision.plan,
                 seen.link.capacity_bytes_per_second,
                 seen.observation.sensing_topics,
@@ -241,9 +241,9 @@ def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch
         daemon.reload(lambda: new)
     assert daemon.settings is old
     undisturbed, _, _ = course(old)
-    for gate, plan, *_, sensing, _, _, _ in undisturbed[:20]:
+    for allowed, plan, *_, sensing, _, _, _ in undisturbed[:20]:
         decision = daemon.tick(now_s)
-        assert (decision.gate, decision.plan, world.graph) == (gate, plan, old.graph)
+        assert (decision.allowed, decision.plan, world.graph) == (allowed, plan, old.graph)
         assert daemon.snapshot.observation.sensing_topics == sensing
         now_s += DT_S
 

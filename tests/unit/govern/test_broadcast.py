@@ -41,4 +41,4 @@ def test_a_slow_link_is_not_filled_with_prices():
     assert sent([slow, slow, replace(slow, share_per_weight=0.05)]) == [0, 2]
     for level in (0.0, math.inf):  # where floors give way, too
         yielding = replace(slow, share_per_weight=level)
-        assert sent([replace(yielding, kept_floor=0.05 * tick) for tick in range(12)]) == [0, 10]
+        assert sent([replace(yielding, kept_minimum=0.05 * tick) for tick in range(12)]) == [0, 10]

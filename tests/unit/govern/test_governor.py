@@ -111,7 +111,7 @@ def qos(plan):
 def test_admitted_runs_from_the_floors_to_everything():
     """The part admitted is 0 where only floors go out, 1 where nobody is slowed, and rises with the budget."""
     run = Run().planned()
-    admitted = [run.tick(capacity, lasting=1e6).gate for capacity in (0.0, 6e3, 3e5, 1e6, 2e6, 1e7)]
+    admitted = [run.tick(capacity, lasting=1e6).allowed for capacity in (0.0, 6e3, 3e5, 1e6, 2e6, 1e7)]
     assert admitted == sorted(admitted)
     assert admitted[:2] == [0.0, 0.0]
     assert 0.0 < admitted[2] < admitted[3] < 1.0
@@ -134,7 +134,7 @@ def test_without_topics_nothing_is_planned():
     """Without topics there is no plan and no price, and everything is admitted."""
     decisions = Run(topics=()).ticks(5.0)
     assert not changes(decisions)
-    assert (decisions[-1].gate, decisions[-1].price) == (1.0, None)
+    assert (decisions[-1].allowed, decisions[-1].price) == (1.0, None)
 
 
 @pytest.mark.parametrize("change", [{"desired_rate_hz": 80.0}, {"desired_rate_hz": 20.0}, {"wire_bytes": 60_000.0}])

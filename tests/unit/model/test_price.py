@@ -113,13 +113,13 @@ def test_without_terms_the_rate_is_the_ceiling(change, share):
 )
 def test_a_price_that_is_near_gives_nearly_the_same_rate(capacity, noise, follows, packets):
     """Prices within 1 % of each other give rates within 2.1 %, also where level and capacity move apart."""
-    before, (level, overhead, kept) = replace(PRICE, yielding_weight=2.0, kept_floor=0.5), noise
+    before, (level, overhead, kept) = replace(PRICE, yielding_weight=2.0, kept_minimum=0.5), noise
     after = replace(
         before,
         capacity_bytes_per_second=before.capacity_bytes_per_second * capacity,
         share_per_weight=before.share_per_weight * level / capacity,
         packet_overhead_s=before.packet_overhead_s * overhead / (capacity if follows else 1.0),
-        kept_floor=before.kept_floor * kept,
+        kept_minimum=before.kept_minimum * kept,
     )
     row = replace(ROW, packets=packets)
     if after.is_near(before, tolerance=0.01):
@@ -128,7 +128,7 @@ def test_a_price_that_is_near_gives_nearly_the_same_rate(capacity, noise, follow
         assert after.is_near(before, tolerance=0.01)
 
 
-@pytest.mark.parametrize("change", [{"share_per_weight": math.inf}, {"yielding_weight": 1.0}, {"kept_floor": 0.0}])
+@pytest.mark.parametrize("change", [{"share_per_weight": math.inf}, {"yielding_weight": 1.0}, {"kept_minimum": 0.0}])
 def test_what_changes_rates_is_not_near(change):
     """A price that frees everybody, or makes floors give way, is news."""
     assert not replace(PRICE, **change).is_near(PRICE, tolerance=0.01)
@@ -142,7 +142,7 @@ def test_what_changes_rates_is_not_near(change):
         {"capacity_bytes_per_second": 0.0},
         {"packet_overhead_s": math.nan},
         {"yielding_weight": math.inf},
-        {"kept_floor": 1.1},
+        {"kept_minimum": 1.1},
     ],
 )
 def test_nonsense_is_refused(change):
@@ -153,7 +153,7 @@ def test_nonsense_is_refused(change):
 
 def test_a_price_that_nobody_repeats_silences_nobody():
     """A daemon may die in an outage: publishers then send at least what their DEADLINEs promise."""
-    shut = replace(PRICE, share_per_weight=0.0, yielding_weight=10.0, kept_floor=0.0)
+    shut = replace(PRICE, share_per_weight=0.0, yielding_weight=10.0, kept_minimum=0.0)
     row = TopicPlan(
         rate_hz=20.0, min_rate_hz=1.0, deadline_ns=200_000_000, depth=5, weight=1.0, wire_bytes=1e3, packets=1
     )

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 
 from arpd.report.history import MOST_TOPICS, SPAN_S, History
-from arpd.web.api.history import history_json
+from arpd.web.api import history_json
 from tests.sample_publishers import publisher
 
 
@@ -36,9 +36,9 @@ def test_a_sample_holds_what_the_snapshot_said(sample_snapshot):
     history.note(sample_snapshot)
     document = history_document(history.samples, ())
     link = document["link"]
-    assert (link["capacity_bytes_per_second"], link["foreign_bytes_per_second"]) == ([500_000.0], [62_500.0])
+    assert (link["capacity_bytes_per_second"], link["cross_traffic_bytes_per_second"]) == ([500_000.0], [62_500.0])
     assert (link["budget_bytes_per_second"], link["level_bytes_per_second"]) == ([425_000.0], [437_500.0])
-    assert (link["queue_delay_seconds"], link["state"], document["gate"]) == ([0.0125], ["steady"], [0.75])
+    assert (link["queue_delay_s"], document["states"], link["allowed_ratio"]) == ([0.0125], ["steady"], [0.75])
     camera, imu = columns(history, "/camera/image"), columns(history, "/imu")
     assert (camera["planned_rate_hz"], camera["source_rate_hz"], camera["paced_rate_hz"]) == ([37.5], [30.0], [12.5])
     assert (imu["planned_rate_hz"], imu["paced_rate_hz"]) == ([None], [None])
@@ -46,7 +46,7 @@ def test_a_sample_holds_what_the_snapshot_said(sample_snapshot):
     unknown = replace(sample_snapshot, link=replace(sample_snapshot.link, loss_ratio=None, queue_delay_s=math.nan))
     history.note(at(unknown, 2000.0))
     link = history_document(history.samples, ())["link"]
-    assert (link["loss_ratio"][1], link["queue_delay_seconds"][1]) == (None, None)
+    assert (link["loss_ratio"][1], link["queue_delay_s"][1]) == (None, None)
 
 
 def test_publishers_come_and_go(sample_snapshot):

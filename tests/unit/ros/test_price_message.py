@@ -20,7 +20,7 @@ PRICES = st.builds(
     capacity_bytes_per_second=POSITIVE,
     packet_overhead_s=st.floats(0.0, allow_infinity=False),
     yielding_weight=st.floats(0.0, allow_infinity=False),
-    kept_floor=PART,
+    kept_minimum=PART,
     loss_ratio=st.none() | PART,
     budget_share=PART,
     spare_share=PART,

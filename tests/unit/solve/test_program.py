@@ -137,7 +137,7 @@ def test_between_two_plans_the_price_gives_the_same_rates(topics, capacity, shar
     solver = program(Backend.OSQP)
     price = solver.solve(capacity, topics, AMPLE, share=share, packet_overhead_s=1e-4).price
     quick = solver.price(capacity, topics, share=share, packet_overhead_s=1e-4)
-    assert (quick.yielding_weight, quick.kept_floor) == (price.yielding_weight, price.kept_floor)
+    assert (quick.yielding_weight, quick.kept_minimum) == (price.yielding_weight, price.kept_minimum)
     for row in topics:
         low, high = (cost(row, capacity or 1.0, 1e-4) * hz for hz in (row.min_rate_hz, row.desired_rate_hz))
         shares = [min(max(each.share_per_weight * row.weight, low), high) for each in (price, quick)]
@@ -157,8 +157,8 @@ def test_weight_divides_the_link():
     [
         ({}, AMPLE, 24, Binding.LINK),  # 5000 · 10/2000 − 1
         ({"latency_budget_s": 1.0}, AMPLE, 9, Binding.LATENCY_BUDGET),  # 1.0 · 10 − 1
-        ({"latency_budget_s": 0.05}, AMPLE, 1, Binding.FLOOR),  # 0.05 · 10 − 1 is below Dmin
-        ({"min_depth": 40}, AMPLE, 40, Binding.FLOOR),
+        ({"latency_budget_s": 0.05}, AMPLE, 1, Binding.MINIMUM),  # 0.05 · 10 − 1 is below Dmin
+        ({"min_depth": 40}, AMPLE, 40, Binding.MINIMUM),
         ({"slot_bytes": 100.0}, 1250.0, 12, Binding.MEMORY),
         ({"desired_rate_hz": 3000.0, "max_depth": 100}, AMPLE, 100, Binding.MAX_DEPTH),
     ],

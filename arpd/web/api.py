@@ -1,0 +1,355 @@
+"""The documents of the API, as dataclasses: the daemon writes them as JSON, `arpd status` and `arpd top` read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any
+
+from arpd.model.allocation import Allocation, TopicAllocation, Uniform
+from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapRecord
+from arpd.model.interface import InterfaceState, LinkCounters, state_of
+from arpd.model.link import LinkEstimate
+from arpd.model.observation import MemoryState
+from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
+from arpd.model.probing import ClockOffset
+from arpd.model.relay import RelaySummary
+from arpd.report.conditions import Condition, Happening, Severity
+from arpd.report.durations import Durations
+from arpd.report.events import Event
+from arpd.report.history import LINK_SERIES, MOST_TOPICS, NO_RATES, PERIOD_S, RATE_SERIES, SPAN_S
+from arpd.report.situation import judge
+from arpd.report.snapshot import Totals
+from arpd.report.topic_rows import topic_rows
+from arpd.web.json_text import head_and_rows, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from arpd.report import situation
+    from arpd.report.history import Sample
+    from arpd.report.snapshot import Snapshot
+    from arpd.report.topic_rows import TopicRow
+
+API_VERSION = "v1"
+# The dataclasses of model/ name these for type checkers only; who reads a document finds them here.
+NESTED = (Direction, Durations, Happening, RefusalReason, SwapRecord, Uniform)
+_MOST_EVENTS = 50
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """What holds: for the verdict the condition that matters most, and faults beside it.
+
+    Parameters
+    ----------
+    condition, severity : what holds, by name, and its weight
+    headline : a few words that stay the same while the condition does
+    text : one sentence: is the link the problem, what did arpd decide, why, and does it help
+    wrong : whether somebody should look: `arpd status` exits 1
+    """
+
+    condition: Condition
+    severity: Severity
+    headline: str
+    text: str
+    wrong: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Peer:
+    """A peer heard in the last minute.
+
+    Parameters
+    ----------
+    report_age_s : time since its last report (s)
+    clock : its clock against this host's; null if no probe of the last 30 s was answered
+    """
+
+    peer: str
+    report_age_s: float
+    clock: ClockOffset | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """The plan in force.
+
+    Parameters
+    ----------
+    generation : grows with every new plan; 0 = no plan
+    reason : why the last tick changed the plan; empty if it did not
+    refusals : reasons, such as dwell, for which the last tick did not make a plan or swap that is due
+    level_bytes_per_second : lasting budget that the plan was made for (bytes/s on the wire)
+    topics, publishers : topics in the plan, and their live publishers
+    confirmed, paced_only : publishers that announce the plan, and those that refuse new QoS for good
+    """
+
+    generation: int
+    reason: str
+    refusals: tuple[str, ...]
+    level_bytes_per_second: float
+    topics: int
+    publishers: int
+    confirmed: int
+    paced_only: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Topic:
+    """One publisher that has announced itself; topic and node identify it.
+
+    Parameters
+    ----------
+    planned : its row of the plan in force; null if no plan has the topic
+    confirmed : what it announces: its counters, and the settings in force
+    allocation : what the last tick gives it; null if the program does not have the topic
+    kept_ratio : part of the source's rate that the link leaves it now, 0 to 1; 1 where the link does not slow it
+    keeps_qos : True if it refuses new QoS for good, so that arpd manages only the rate
+    age_s : time since the announcement (s)
+    """
+
+    topic: str
+    node: str
+    planned: TopicPlan | None
+    confirmed: PublisherState
+    allocation: TopicAllocation | None
+    kept_ratio: float
+    keeps_qos: bool
+    age_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Status:
+    """The answer of GET /api/v1/status: the daemon after its last finished tick.
+
+    Within v1 new keys may come and none goes, so a reader must ignore unknown keys. Before the first tick the answer is
+    503 with api_version and ready only. Keys end in their unit; numbers have five digits, and one that may be infinite
+    or unknown is null then.
+
+    Parameters
+    ----------
+    ready : True while the daemon governs
+    unix_time_s, age_s : end of the tick by the wall clock, and the time since, by the daemon's own clock (s)
+    tick_s : duration of the tick (s)
+    verdict : the condition of link and plan that matters most
+    faults : those beside it, of ticks, configuration, relay, publishers and peers, the worst first
+    interface, interface_state, interface_counters : the link interface; the counters are null while it is gone
+    radio_bytes_per_second : bit rate at which the radio transmits (bytes/s); null without a radio or its answer
+    available_bytes_per_second : capacity left for arpd's topics (bytes/s on the wire)
+    budget_bytes_per_second : what the topics may use now (bytes/s on the wire)
+    allowed_ratio : part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed
+    sensing_topics, actuation_topics : topics in the ROS graph that cross the link, managed by arpd or not
+    rmw, rmw_refusal : middleware of ROS, and why arpd only paces publishers; empty if it can swap their writers
+    other_daemons : hosts of the other arpd daemons in the ROS domain
+    active_daemon : host of the active daemon while this one stands by; empty if this one is active
+    relay : relay with two ends as its end on the robot tells it; null without one, and while that end is silent
+    price : null while no topic shares the link
+    allocation : the program's answer in the last tick
+    lease_s : silence of the daemon after which publishers return to their own QoS, 0 = never (s)
+    topics : sorted by topic and node
+    totals : counts since the start
+    events : the last lines of the decision log, oldest first
+    config_path, config_error : file of the configuration, and why the last reload was refused; empty if it was not
+    """
+
+    api_version: str = API_VERSION
+    version: str
+    ready: bool
+    unix_time_s: float
+    age_s: float
+    tick_s: float
+    verdict: Finding
+    faults: tuple[Finding, ...]
+    interface: str
+    interface_state: InterfaceState
+    interface_counters: LinkCounters | None
+    link: LinkEstimate
+    radio_bytes_per_second: float | None
+    available_bytes_per_second: float
+    budget_bytes_per_second: float
+    allowed_ratio: float
+    peers: tuple[Peer, ...]
+    memory: MemoryState
+    sensing_topics: int
+    actuation_topics: int
+    rmw: str
+    rmw_refusal: str
+    other_daemons: tuple[str, ...]
+    active_daemon: str
+    relay: RelaySummary | None
+    price: Price | None
+    plan: Plan
+    allocation: Allocation
+    lease_s: float
+    totals: Totals
+    events: tuple[Event, ...]
+    config_path: str
+    config_error: str
+    topics: tuple[Topic, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TopicHistory:
+    """One publisher, by topic and node.
+
+    Parameters
+    ----------
+    planned_rate_hz : ceiling of the plan (Hz); null = unpaced or not planned
+    published_rate_hz, source_rate_hz : rates at which the writer sent, and the application published (Hz)
+    paced_rate_hz : rate that the price leaves the publisher (Hz); null = unpaced or not there
+    """
+
+    topic: str
+    node: str
+    planned_rate_hz: tuple[float | None, ...]
+    published_rate_hz: tuple[float | None, ...]
+    source_rate_hz: tuple[float | None, ...]
+    paced_rate_hz: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class History:
+    """The answer of GET /api/v1/history: the last ten minutes, one sample a second, in columns as long as times.
+
+    The oldest sample comes first; null = nothing or unknown. Numbers have five digits. Within v1 new keys may come and
+    none goes.
+
+    Parameters
+    ----------
+    unix_time_s : wall clock of the last sample (Unix time, s); null before the first
+    period_s, span_s : time between two samples, except for late ticks, and age up to which they are kept (s)
+    times : of each sample (Unix time, s), counted back from the last one, so that they always rise
+    states : of the link
+    link : numbers of the link, each as in the status
+    topics : publishers of the last ten minutes, sorted by topic and node
+    topics_omitted : live publishers without history, which is kept for 200
+    events : the last lines of the decision log, oldest first
+    """
+
+    api_version: str = API_VERSION
+    unix_time_s: float | None
+    period_s: float = PERIOD_S
+    span_s: float = SPAN_S
+    times: tuple[float, ...]
+    states: tuple[str, ...]
+    link: Mapping[str, tuple[float | None, ...]]
+    topics_omitted: int
+    events: tuple[Event, ...]
+    topics: tuple[TopicHistory, ...] = ()
+
+
+def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf) -> Iterator[bytes]:
+    """Yield the whole snapshot as a JSON document, the topics one by one, because each takes a while.
+
+    Parameters
+    ----------
+    is_ready : True while the daemon governs
+    now_s : monotonic clock (s), for the age of the snapshot; without it the age is unknown
+    """
+    rows = topic_rows(snapshot)
+    judged = judge(snapshot, rows=rows, now_s=now_s if isfinite(now_s) else None)
+    observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
+    head = Status(
+        version=snapshot.version,
+        ready=is_ready,
+        unix_time_s=snapshot.unix_time_s,
+        age_s=max(0.0, now_s - snapshot.finished_at_s),
+        tick_s=snapshot.tick_s,
+        verdict=_finding(judged.verdict),
+        faults=tuple(map(_finding, judged.faults)),
+        interface=snapshot.interface,
+        interface_state=state_of(observation.counters),
+        interface_counters=observation.counters,
+        link=link,
+        radio_bytes_per_second=observation.radio_bytes_per_second,
+        available_bytes_per_second=link.available_bytes_per_second,
+        budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
+        allowed_ratio=decision.allowed,
+        peers=tuple(
+            Peer(peer=peer, report_age_s=age_s, clock=observation.peer_clocks.get(peer))
+            for peer, age_s in sorted(observation.peer_ages_s.items())
+        ),
+        memory=observation.memory,
+        sensing_topics=observation.sensing_topics,
+        actuation_topics=observation.actuation_topics,
+        rmw=observation.rmw,
+        rmw_refusal=observation.rmw_refusal,
+        other_daemons=observation.other_daemons,
+        active_daemon=observation.active_daemon,
+        relay=observation.relay,
+        price=decision.price,
+        plan=Plan(
+            generation=decision.plan.generation,
+            reason=decision.reason,
+            refusals=decision.refusals,
+            level_bytes_per_second=decision.plan.level_bytes_per_second,
+            topics=len(decision.plan.topics),
+            publishers=snapshot.managed,
+            confirmed=snapshot.confirmed,
+            paced_only=snapshot.paced_only,
+        ),
+        allocation=snapshot.allocation,
+        lease_s=snapshot.lease_s,
+        totals=snapshot.totals,
+        events=snapshot.events[-_MOST_EVENTS:],
+        config_path=snapshot.config_path,
+        config_error=snapshot.config_error,
+    )
+    return head_and_rows(head, (plain(_topic(row)) for row in rows))
+
+
+def _finding(found: situation.Finding) -> Finding:
+    what = found.condition
+    return Finding(condition=what, severity=what.severity, headline=what.headline, text=found.text, wrong=what.is_wrong)
+
+
+def _topic(row: TopicRow) -> Topic:
+    return Topic(
+        topic=row.publisher.topic,
+        node=row.publisher.node,
+        planned=row.planned,
+        confirmed=row.publisher,
+        allocation=row.allocation,
+        kept_ratio=row.kept_ratio,
+        keeps_qos=row.publisher.refusal_reason.is_lasting,
+        age_s=row.age_s,
+    )
+
+
+def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> Iterator[bytes]:
+    """Yield the history as a JSON document, topic by topic.
+
+    Parameters
+    ----------
+    samples : oldest first
+    logged : events of the decision log, oldest first
+    """
+    newest = samples[-1] if samples else None
+    columns = list(zip(*(sample.link for sample in samples), strict=True)) or [()] * len(LINK_SERIES)
+    head = History(
+        unix_time_s=newest.unix_time_s if newest else None,
+        # Counted back from the newest: somebody may have set the wall clock, and charts need rising times.
+        times=tuple(newest.unix_time_s - (newest.at_s - sample.at_s) for sample in samples) if newest else (),
+        states=tuple(sample.state for sample in samples),
+        link=dict(zip(LINK_SERIES, columns, strict=True)),
+        topics_omitted=newest.omitted if newest else 0,
+        events=tuple(logged),
+    )
+    return head_and_rows(head, _histories(samples))
+
+
+def _histories(samples: Sequence[Sample]) -> Iterator[dict[str, Any]]:
+    """Yield the topics as `TopicHistory` has them; their numbers are short already, and there are many."""
+    width = len(RATE_SERIES)
+    slots_of_all = {id(sample.slots): sample.slots for sample in reversed(samples)}.values()  # they change rarely
+    identities = dict.fromkeys(identity for slots in slots_of_all for identity in slots)
+    for identity in sorted([*identities][:MOST_TOPICS]):
+        own = (sample.slots.get(identity) for sample in samples)
+        rows = [
+            NO_RATES if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
+            for sample, slot in zip(samples, own, strict=True)
+        ]
+        yield {**identity._asdict(), **dict(zip(RATE_SERIES, zip(*rows, strict=True), strict=True))}

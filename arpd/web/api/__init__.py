@@ -1,1 +1,0 @@
-"""Models of the API's documents, from which their JSON Schemas are made."""

@@ -1,0 +1,129 @@
+"""Dataclasses as JSON and back, and the schema of such a document.
+
+JSON has no infinity: a number that is infinite or unknown is null.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import TypeAdapter
+from pydantic_core import to_json
+
+from arpd.model.quantities import shortened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+_T = TypeVar("_T")
+
+# Shown elsewhere in a document, or of no use outside the daemon; each has a default.
+_HIDDEN = {
+    "Allocation": {"topics", "price"},
+    "PublisherState": {"announced_at_s"},
+    "Totals": {"durations", "solves_by_outcome"},
+}
+_MAY_BE_INFINITE = {"age_s", "paced_rate_hz", "queue_delay_s", "rate_hz", "share_per_weight"}
+
+
+def head_and_rows(head: Any, topics: Iterable[dict[str, Any]]) -> Iterator[bytes]:
+    """Yield a document, its topics last and one by one, so that a tick that is due can begin in between.
+
+    Parameters
+    ----------
+    head : the document without topics
+    topics : each as `plain` returns it
+    """
+    parts = plain(head)
+    del parts["topics"]
+    yield _text(parts)[:-1] + b',"topics":['
+    for number, topic in enumerate(topics):
+        yield (b"," if number else b"") + _text(topic)
+    yield b"]}\n"
+
+
+def plain(value: Any, name: str = "") -> Any:
+    """Return a value without dataclasses; times in milliseconds, other numbers in five digits.
+
+    Parameters
+    ----------
+    name : key of the value
+    """
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return round(value, 3) if name in {"unix_time_s", "times"} else shortened(value)
+    if isinstance(value, tuple):
+        return [plain(each, name) for each in value]
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in sorted(value.items())}
+    return {key: plain(getattr(value, key), key) for key in _keys(value.__class__)}
+
+
+@cache
+def _keys(kind: Any) -> tuple[str, ...]:
+    hidden = _HIDDEN.get(kind.__name__, set())
+    return tuple(each.name for each in fields(kind) if each.name not in hidden)
+
+
+def read(kind: Callable[..., _T], document: object) -> _T:
+    """Return a document of a kind that `head_and_rows` has written.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If it is something else.
+    """
+    found: _T = _adapter(kind).validate_python(_with_infinities(document))
+    return found
+
+
+def schema_of(kind: Any, name: str) -> bytes:
+    """Return the JSON Schema (draft 2020-12) of a document."""
+    schema = _adapter(kind).json_schema(mode="serialization")
+    for part, keys in _HIDDEN.items():
+        for key in keys & schema["$defs"].get(part, {"properties": {}})["properties"].keys():
+            del schema["$defs"][part]["properties"][key]
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{name}-v1.json"}
+    return f"{json.dumps(head | _tidied(schema) | {'title': f'arpd {name}'}, indent=1)}\n".encode()
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    adapter: TypeAdapter[Any] = TypeAdapter(kind)
+    # The dataclasses of model/ name each other's types for type checkers only.
+    adapter.rebuild(raise_errors=True, _types_namespace=vars(sys.modules[kind.__module__]))
+    return adapter
+
+
+def _with_infinities(part: Any) -> Any:
+    if isinstance(part, dict):
+        return {
+            key: math.inf if value is None and key in _MAY_BE_INFINITE else _with_infinities(value)
+            for key, value in part.items()
+        }
+    return [_with_infinities(each) for each in part] if isinstance(part, list) else part
+
+
+def _tidied(part: Any, name: str = "") -> Any:
+    """Leave out titles; every key is there, and some numbers may be null."""
+    if isinstance(part, list):
+        return [_tidied(each) for each in part]
+    if not isinstance(part, dict):
+        return part
+    tidy = {key: _tidied(value, key) for key, value in part.items() if not (key == "title" and isinstance(value, str))}
+    if "properties" in tidy:
+        tidy["required"] = sorted(tidy["properties"])
+    if name in _MAY_BE_INFINITE and tidy.get("type") == "number":
+        tidy["type"] = ["number", "null"]
+    return tidy
+
+
+def _text(value: Any) -> bytes:
+    return to_json(value, inf_nan_mode="null")
