@@ -81,6 +81,10 @@ class CrossTraffic:
         """Note a probe of ours: before the first estimate, trains exceed every allowance."""
         self._extra.jump(now_s, peers * request.packets * probe_wire_bytes(request.packet_bytes))
 
+    def probe_bytes(self, since_s: float) -> float:
+        """Return the bytes of our own that no topic sent since then (bytes)."""
+        return float(self._extra.newest - self._extra.each_at(np.array([since_s]))[0])
+
     def note_outage(self, start_s: float, end_s: float) -> None:
         """Note that nothing arrived in a span of time: writers send its samples again now."""
         before, after = self._sent_by(np.array([start_s, end_s]))
@@ -193,6 +197,10 @@ class _Curve:
     @property
     def newest_s(self) -> float:
         return self._times[-1]
+
+    @property
+    def newest(self) -> float:
+        return self._sums[-1]
 
     def grow(self, at_s: float, amount: float) -> None:
         """Add an amount that came since the last moment; an earlier moment counts as that one."""

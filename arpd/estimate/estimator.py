@@ -104,6 +104,7 @@ class Estimator:
         capacity, local = self._capacity, self._local
         self._note_sizes(() if observation.relay else observation.publishers)
         moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
+        moved -= self._cross_traffic.probe_bytes(now_s - parameters.SHOWS_S) / parameters.DELIVERY_WINDOW_S
         self._used_s = now_s if moved > parameters.RESTING * capacity else min(self._used_s, now_s)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
         self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S

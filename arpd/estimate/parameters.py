@@ -15,9 +15,8 @@ DELIVERY_WINDOW_S, DELAY_WINDOW_S = 0.300, 10.0  # span of the mean delivery, an
 LOOK_S = 0.03  # time between looks at a busy link; what left in less counts less
 LOCAL_WINDOW_S = 1.0  # span over which sending is averaged without a peer
 
-# Part of the capacity below which the link rests, after so long. A calm train shows in reports for up to 0.8 s, and
-# must not keep a link from resting until the next one.
-RESTING, RESTING_S = 0.02, 1.0
+RESTING, RESTING_S = 0.02, 2.0  # part of the capacity below which the link rests, after so long
+SHOWS_S = 0.8  # time in which a train may show in the reports of a link that rests
 
 # The capacity.
 USED = 0.5  # part of the capacity from which on the absence of a queue shows that there is more

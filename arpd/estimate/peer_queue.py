@@ -85,7 +85,8 @@ class QueueGauge:
         ----------
         handed_bytes : bytes handed to this host's interface by now, None = unknown
         """
-        now_s = self.reported_s = report.received_at_s
+        before_s, now_s = self.reported_s, report.received_at_s
+        self.reported_s = now_s
         if not self._waited_out(report):
             self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
         window_s = parameters.DELIVERY_WINDOW_S - report.interval_s / 2
@@ -123,8 +124,10 @@ class QueueGauge:
         backlog = outstanding - max(0.0, on_way) - 1.5 * late_s * rate
         self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
         way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
-        if report.interval_s < way_s:
-            self.backlog.busy_rate = None  # what is on a long way looks like what waits
+        # What is on a long way looks like what waits, and so do lost bytes; but a ping arrives after what it waits for.
+        has_left = self._last_ping is not None and self._last_ping.sent_s > before_s
+        if report.interval_s < way_s or has_left:
+            self.backlog.busy_rate = None
 
     def _waited_out(self, report: PeerReport) -> bool:
         """Return whether a report waited for the end of an outage, so its counts describe the link before.

@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 
 from arpd.daemon.scenario import run
+from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
 from arpd.sim.demo import demo_settings, demo_topics
@@ -243,3 +244,13 @@ def test_nothing_is_created_or_forgotten():
             assert 0 <= topic.offered - topic.withheld - topic.sent <= 1
             assert topic.received + topic.lost == topic.sent
             assert topic.doubled == 0
+
+
+@pytest.mark.parametrize("mbit", [20, 1000])
+def test_a_link_at_rest_carries_few_probes(mbit):
+    """While no topic crosses, probes take 8 kB/s at most in the first half minute, and then less than one."""
+    quiet = tuple(replace(topic, direction=Direction.LOCAL) for topic in demo_topics())
+    resting = run(demo_settings(), RateSchedule.parse(f"0:{mbit}mbit"), 60.0, seed=1, managed=True, topics=quiet)
+    spent = {t_s: next(moment.probe_bytes for moment in resting.moments if moment.t_s >= t_s) for t_s in (5, 30, 55)}
+    assert spent[30] - spent[5] < 25 * 8000
+    assert spent[55] - spent[30] < 25 * 1000

@@ -35,6 +35,9 @@ class Fifo:
         self._handed += size
         self.queue += size
 
+    def lose(self, size):
+        self._handed += size
+
     def run(self, duration_s):
         """Let the link carry bytes, with a report for every ping that arrives."""
         end_s = self.now_s + duration_s
@@ -155,3 +158,14 @@ def test_a_link_that_was_never_idle_shows_its_exact_capacity(loads_s):
     assert fifo.gauge.backlog.busy_rate == pytest.approx(RATE, rel=1e-3)
     fifo.gauge = QueueGauge(fifo.gauge)
     assert fifo.gauge.backlog.busy_rate is None
+
+
+def test_bytes_that_go_elsewhere_make_no_link_busy():
+    """At rest a missing packet outweighs what arrives; a ping that met no queue shows that the link was idle."""
+    fifo = Fifo()
+    for round_ in range(20):
+        fifo.ping()
+        fifo.send(100)
+        fifo.lose(900 * (round_ % 6 == 5))
+        fifo.run(0.3)
+        assert fifo.gauge.backlog.busy_rate is None
