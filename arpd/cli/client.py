@@ -286,4 +286,5 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         hint = "" if url.lower().startswith("https:") else "; if the daemon has TLS, write https:// in --url"
         return DaemonUnreachableError(f"no whole answer from {url} ({wrong}){hint}")
     hint = "is it running (systemctl status arpd), and is http.port the same?"
-    return NoAnswerError(f"no daemon answers at {url} ({error}); {hint}", is_late=isinstance(error, TimeoutError))
+    why = f"no daemon answers at {url} ({error}); {hint}"
+    return NoAnswerError(why, url=url, is_late=isinstance(error, TimeoutError))

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from arpd.daemon.compare import Comparison, LinkEvent, Summary
     from arpd.daemon.scenario import ScenarioResult
-    from arpd.model.settings import Settings
     from arpd.sim.link import LinkModel
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
@@ -37,14 +36,13 @@ class Asked:
 
     Parameters
     ----------
-    config : file of the configuration; None = the settings are the demo robot's, too
+    config : file of the configuration; None = the demo robot's
     trace : the link, as long as the run
     duration_s : length of the run (s)
     is_demo : True for the demo robot, when the configuration names no topics
     """
 
     config: Path | None
-    settings: Settings
     trace: LinkTrace
     duration_s: float
     seed: int

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.cli.options import add_address, within
+from arpd.cli import checks_host, checks_link
+from arpd.cli.checkup import Here, unknown
+from arpd.cli.options import Command, add_address, add_config, add_json, within
+from arpd.cli.output import width_of_output, wrapped
 from arpd.cli.progress import progress
 from arpd.model.errors import NotKnownError
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Mapping
 
-    from arpd.cli.checkup import Finding, Here
+    from arpd.cli.checkup import Finding
 
 _LISTEN_S = 6.0  # a participant announces itself every three seconds
 _MOST_LISTEN_S = 600.0
 _MOST_LINES = 6
-
-
-def add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        "doctor",
-        help="find what about this computer harms a robot on Wi-Fi",
-        description="""\
+_TEXT = """\
 Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: clocks that differ between
 the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost for want
 of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers without
@@ -36,8 +31,8 @@ arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units 
 configuration.
 
 It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
-base computer, name the robot with --url (http.host in its configuration opens the port).""",
-        epilog="""\
+base computer, name the robot with --url (http.host in its configuration opens the port).
+
 examples:
   arpd doctor                                on the robot
   arpd doctor --url http://robot.local:9464  on the base computer
@@ -45,13 +40,12 @@ examples:
   arpd doctor --verbose                      what is fine, too
   arpd doctor --json | jq '.checks[] | select(.health == "wrong")'
 
-exit codes: 0 nothing to do (a check may not have been possible), 1 something to do, 2 wrong usage""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+exit codes: 0 nothing to do (a check may not have been possible), 1 something to do, 2 wrong usage"""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
     add_address(parser)
-    parser.add_argument(
-        "--config", type=Path, default=default_config, metavar="FILE", help="YAML configuration (default %(default)s)"
-    )
+    add_config(parser)
     parser.add_argument(
         "--far", action="store_true", help="this computer is the base computer; --url of a robot implies it"
     )
@@ -64,14 +58,10 @@ exit codes: 0 nothing to do (a check may not have been possible), 1 something to
         help="time to listen to discovery, 0 = do not (default %(default)g)",
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="show what is fine, too")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.set_defaults(handler=_doctor)
+    add_json(parser)
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from arpd.cli.checkup import Here
-    from arpd.cli.output import width_of_output
-
     with progress(f"Looking, and listening to discovery for {options.listen:g} s"):
         here = Here(options)
         findings = check_up(here)
@@ -87,9 +77,6 @@ def _doctor(options: argparse.Namespace) -> int:
 
 def check_up(here: Here) -> dict[str, Finding]:
     """Return what every check finds, by its name; a check that does not concern this computer finds nothing."""
-    from arpd.cli import checks_host, checks_link
-    from arpd.cli.checkup import unknown
-
     findings = {}
     for check in (*checks_link.CHECKS, *checks_host.CHECKS):
         try:
@@ -109,8 +96,6 @@ def lines(findings: Mapping[str, Finding], *, width: int, is_verbose: bool = Fal
     width : no sentence is wider; a remedy stays in one line, so that it can be copied (columns)
     is_verbose : whether what is fine is shown, too
     """
-    from arpd.cli.output import wrapped
-
     wrong, unsure, fine = (
         {about: each for about, each in findings.items() if each.health == health}
         for health in ("wrong", "unknown", "fine")
@@ -127,3 +112,6 @@ def lines(findings: Mapping[str, Finding], *, width: int, is_verbose: bool = Fal
     parts = [count(len(wrong), "thing") + " to do"] if wrong else []
     parts += [f"{count(len(fine), 'check')} fine", *([f"{len(unsure)} not known"] if unsure else [])]
     return [*shown, ", ".join(parts)]
+
+
+DOCTOR = Command(_TEXT, _add_options, _doctor)

@@ -1,18 +1,17 @@
-"""What to tell people whose daemon does not answer: the error, and the next step from the state of arpd's units."""
+"""What to tell people whose daemon does not answer: the next step, from the state of arpd's units."""
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 from arpd.cli.options import is_here
-from arpd.model.errors import NoAnswerError
+from arpd.host import services
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from arpd.host.services import ServiceState
-    from arpd.model.errors import DaemonUnreachableError
+    from arpd.model.errors import NoAnswerError
 
 _ROBOT, _OTHER_END = "arpd", "arpd-peer"
 _ENDED = {"inactive", "deactivating", ""}
@@ -24,15 +23,11 @@ _CAUSES = {
 }
 
 
-def tell_no_daemon(error: DaemonUnreachableError, url: str) -> None:
-    """Print why nobody answers at a URL, and for this computer the next step."""
-    from arpd.host.services import service_states
-
-    print(f"arpd: {error}", file=sys.stderr)
-    if isinstance(error, NoAnswerError) and is_here(url):
-        step = next_step(service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
-        if step:
-            print(f"arpd: {step}", file=sys.stderr)
+def step_after(error: NoAnswerError) -> str:
+    """Return the next step where nobody answers at an address of this computer; empty elsewhere."""
+    if not is_here(error.url):
+        return ""
+    return next_step(services.service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
 
 
 def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> str:

@@ -1,10 +1,10 @@
-"""Options that several commands have: the daemon's address, and what its URL says; numbers within bounds."""
+"""What a command is, and the options that several have: configuration, the daemon's address, numbers within bounds."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
 from arpd.model.errors import UsageError
@@ -15,11 +15,39 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+DEFAULT_CONFIG = Path("/etc/arpd/arpd.yaml")
 _Number = TypeVar("_Number", int, float)
 _DEFAULT = HttpSettings()
 DEFAULT_URL = f"http://{_DEFAULT.host}:{_DEFAULT.port}"
 PASSWORD = "ARPD_PASSWORD"  # noqa: S105 - the variable's name
 IN_CLEAR = "--password-in-clear"
+
+
+class Command(NamedTuple):
+    """One command of `arpd`: its text with examples, what adds its options to a parser, and what runs it."""
+
+    text: str
+    add_options: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+
+
+def add_config(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
+    """Add ``--config``, by default the installed file; None with the installed one beside it where it may be missing.
+
+    Parameters
+    ----------
+    otherwise : what stands for an installed file that is missing
+    """
+    about = f"YAML configuration (default {DEFAULT_CONFIG}{otherwise and ', or ' + otherwise})"
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", default=None if otherwise else DEFAULT_CONFIG, help=about
+    )
+    parser.set_defaults(default_config=DEFAULT_CONFIG)
+
+
+def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None:
+    """Add ``--json``."""
+    parser.add_argument("--json", action="store_true", help=about)
 
 
 def add_address(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +73,7 @@ def host_of(url: str) -> str:
     try:
         return urlsplit(url).hostname or ""
     except ValueError as error:
-        raise UsageError(f"--url {url!r} is not an HTTP address ({error})") from None
+        raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
 
 
 def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) -> bool:

@@ -2,42 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
 import json
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.cli.options import within
+from arpd.cli.comparison import Asked, comparison_document, show_comparison
+from arpd.cli.options import Command, add_config, add_json, within
+from arpd.cli.progress import progress
+from arpd.daemon.compare import compare
+from arpd.host.config.load import load_settings
 from arpd.model.errors import UsageError
-from arpd.model.quantities import (
-    format_duration,
-    parse_duration,
-    parse_size,
-    printable,
-    spell_duration,
-    spell_size,
-)
+from arpd.model.quantities import format_duration, parse_duration, parse_size, printable, spell_duration, spell_size
+from arpd.sim.demo import demo_settings, demo_topics
+from arpd.sim.link import LinkModel
+from arpd.sim.robot import configured_topics
+from arpd.sim.schedule import RateSchedule
+from arpd.sim.trace import LinkTrace, read_trace
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable
 
     from arpd.model.settings import Settings
     from arpd.sim.robot import SimTopic
-    from arpd.sim.trace import LinkTrace
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
 _DEFAULT_S = 60.0  # when the trace is shorter
 _DRAIN_S = 10.0  # the link goes on after the end of the run
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
 _MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
-
-
-def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        "simulate",
-        help="try a configuration on a recorded or made-up link",
-        description="""\
+_TEXT = """\
 Run a robot over a simulated link, three times with the same seed: with arpd, without it (rclpy's defaults, unpaced),
 and with an oracle that knows the link in place of arpd's estimator. It runs the daemon's own code in virtual time: no
 ROS, no root, no waiting.
@@ -45,22 +40,18 @@ ROS, no root, no waiting.
 The robot publishes the topics of the configuration (payload and source_rate_hz), to one reader each; with
 relay.link_domain the relay's two ends carry them. Without a configuration, or without such topics, it is the demo
 robot. --trace reads CSV (time_s,rate_bit_per_s and perhaps loss; one row per change, the last one holds), rows of
-seconds and Mbit/s, and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).""",
-        epilog="""\
+seconds and Mbit/s, and mahimahi's packet-delivery traces (a line of milliseconds per 1500 bytes; repeated).
+
 examples:
   arpd simulate --config robot.yaml --trace walk.csv
   arpd simulate --config robot.yaml --rate 0:20mbit,20:5mbit,50:20mbit      no trace at hand
   arpd simulate --config robot.yaml --trace lte.up --duration 5min --delay 30ms --loss 0.01
   arpd simulate --config robot.yaml --rate 0:20mbit --packet-overhead 200us --aggregate 16     like 802.11n
-  arpd simulate --config new.yaml --trace walk.csv --json | jq .ways.arpd.summary""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help=f"YAML configuration (default {default_config}, or the demo robot's where that does not exist)",
-    )
+  arpd simulate --config new.yaml --trace walk.csv --json | jq .ways.arpd.summary"""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    add_config(parser, otherwise="the demo robot's where that does not exist")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--trace", type=Path, metavar="FILE", help="the link's rate, and perhaps loss, over time")
     source.add_argument("--rate", metavar="SECONDS:RATE,...", help="the same in place, like 0:20mbit,20:5mbit")
@@ -79,8 +70,7 @@ examples:
         help="this topic of the configuration crosses towards the robot; may be repeated",
     )
     _add_link(parser.add_argument_group("the link, besides its rate"))
-    parser.add_argument("--json", action="store_true", help="print JSON, with the course ten times a second")
-    parser.set_defaults(handler=_simulate, default_config=default_config)
+    add_json(parser, "print JSON, with the course ten times a second")
 
 
 def _add_link(group: argparse._ArgumentGroup) -> None:
@@ -97,18 +87,12 @@ def _add_link(group: argparse._ArgumentGroup) -> None:
         default="sender",
         help="sender: its interface, where a full queue makes a write wait; middle: between the hosts (default sender)",
     )
-    help_of_overhead = "link time a transmission costs besides its bytes"
-    group.add_argument("--packet-overhead", type=overhead, metavar="TIME", help=help_of_overhead)
+    costs = "link time a transmission costs besides its bytes"
+    group.add_argument("--packet-overhead", type=overhead, metavar="TIME", help=costs)
     group.add_argument("--aggregate", type=packets, metavar="N", help="packets that may share it (default 1)")
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from arpd.cli.comparison import Asked, comparison_document, show_comparison
-    from arpd.cli.progress import progress
-    from arpd.daemon.compare import compare
-    from arpd.sim.demo import demo_topics
-    from arpd.sim.link import LinkModel
-
     given = {
         "loss": options.loss,
         "delay_s": options.delay,
@@ -121,7 +105,6 @@ def _simulate(options: argparse.Namespace) -> int:
     config, settings, configured = _robot(options)
     asked = Asked(
         config=config,
-        settings=settings,
         trace=trace,
         duration_s=duration_s,
         seed=options.seed,
@@ -129,15 +112,16 @@ def _simulate(options: argparse.Namespace) -> int:
         robot=configured or demo_topics(),
         is_demo=not configured,
     )
-    with progress(f"simulating {format_duration(asked.duration_s)} three ways", total=3) as shown:
+    number = count()
+    with progress(f"simulating {format_duration(duration_s)} three ways", total=3) as reach:
         comparison = compare(
-            asked.settings,
-            asked.trace.rates,
-            asked.duration_s,
+            settings,
+            trace.rates,
+            duration_s,
             seed=asked.seed,
             model=asked.model,
             topics=asked.robot,
-            on_way=shown.step,
+            on_way=lambda way: reach(next(number), way),
         )
     if options.json:
         print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
@@ -148,10 +132,6 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
     """Return the configuration's file, its settings, and the topics of which it says what they publish."""
-    from arpd.host.config.load import load_settings
-    from arpd.sim.demo import demo_settings
-    from arpd.sim.robot import configured_topics
-
     config: Path | None = options.config
     if config is None and options.default_config.exists():
         config = options.default_config
@@ -173,9 +153,6 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
     """Return the trace, long enough for the run, and the length of the run (s)."""
-    from arpd.sim.schedule import RateSchedule
-    from arpd.sim.trace import LinkTrace, read_trace
-
     if options.trace is not None:
         trace = read_trace(options.trace)
     else:
@@ -190,3 +167,6 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
 
 def _duration(least_s: float, most_s: float) -> Callable[[str], float]:
     return within(least_s, most_s, parse=parse_duration, spell=spell_duration)
+
+
+SIMULATE = Command(_TEXT, _add_options, _simulate)

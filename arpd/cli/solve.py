@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from arpd.cli.options import Command, add_json
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.settings import Backend
+from arpd.solve.backends import Solver
+from arpd.solve.eq4 import Eq4Problem, whole
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Mapping
-
-    from arpd.solve.eq4 import Eq4Problem
 
 _PAPER = ("rmax", "sensing", "actuation", "rmin", "dmin", "dmax")
 _PAPER_NEEDS = ("rmax", "sensing", "actuation")
 _OFFLINE = ("config", "capacity", "status")
-_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
-
-
-def add_solve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        "solve",
-        help="solve the published program, or plan your topics offline to tune their weights",
-        description="""\
+_TEXT = """\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
 share. Exits 1 when the constraints cannot be met.
 
@@ -37,8 +30,8 @@ share. Exits 1 when the constraints cannot be met.
 
 With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or the rates on
 several. Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running
-daemon measured (--status). Needs neither ROS nor a daemon.""",
-        epilog="""\
+daemon measured (--status). Needs neither ROS nor a daemon.
+
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
   arpd solve --rmax 1000 --sensing 11 --actuation 1 --backend cvxpy --json
@@ -53,18 +46,16 @@ what a rate or depth is bound by:
   link      a faster link would give it more; weight decides which topic gets how much
   minimum   min_rate_hz or min_depth keeps it up
   latency   latency_budget: a deeper history would only be older
-  max       max_depth            memory    program.memory_budget""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+  max       max_depth            memory    program.memory_budget"""
+_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
     _add_paper(parser.add_argument_group("the paper's program"))
     _add_offline(parser.add_argument_group("your topics, offline"))
-    parser.add_argument(
-        "--backend",
-        choices=[str(backend) for backend in Backend],
-        help="solver (default osqp, or the configuration's)",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.set_defaults(handler=_solve)
+    backends = [str(backend) for backend in Backend]
+    parser.add_argument("--backend", choices=backends, help="solver (default osqp, or the configuration's)")
+    add_json(parser)
 
 
 def _add_paper(group: argparse._ArgumentGroup) -> None:
@@ -95,23 +86,16 @@ def _solve(options: argparse.Namespace) -> int:
         return _solve_paper(options)
     if options.config is None:
         raise UsageError(f"--{offline[0]} needs --config FILE, whose topics are planned")
-    from arpd.cli.solve_allocation import solve_allocation
+    from arpd.cli.solve_topics import solve_topics
 
-    return solve_allocation(options)
-
-
-class _InfeasibleError(ArpdError):
-    """The constraints cannot be met together."""
+    return solve_topics(options)
 
 
 def _solve_paper(options: argparse.Namespace) -> int:
-    from arpd.solve.backends import Solver
-    from arpd.solve.eq4 import whole
-
     problem, asked = _problem(options), Backend(options.backend or Backend.OSQP)
     if refusal := problem.refusal():
         if not options.json:
-            raise _InfeasibleError(f"infeasible: {refusal}")
+            raise ArpdError(f"infeasible: {refusal}")
         print(json.dumps({"status": "infeasible", "binding": refusal}, indent=2))
         return 1
     (rate_hz, depth), backend = Solver(asked).eq4(problem)
@@ -134,8 +118,6 @@ def _solve_paper(options: argparse.Namespace) -> int:
 
 
 def _problem(options: argparse.Namespace) -> Eq4Problem:
-    from arpd.solve.eq4 import Eq4Problem
-
     missing = [f"--{name}" for name in _PAPER_NEEDS if getattr(options, name) is None]
     if missing:
         raise UsageError(f"the paper's program needs {' and '.join(missing)}, too; give {_BOTH_MODES}")
@@ -171,3 +153,6 @@ binding: {binding}; solved by {backend}""".format(
         applied_hz=1e9 / answer["deadline_ns"],
         empty="",
     )
+
+
+SOLVE = Command(_TEXT, _add_options, _solve)

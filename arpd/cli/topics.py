@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
-from arpd.cli.options import within
+from arpd.cli.options import Command, add_config, within
+from arpd.cli.output import show
 from arpd.cli.progress import progress
+from arpd.cli.topics_table import link_table, summary
+from arpd.host import interface as host
+from arpd.host.config.first_file import LinkChoice, first_file
+from arpd.host.config.load import load_settings, local_domain
 from arpd.model.errors import ArpdError, ConfigError, UsageError
+from arpd.model.kinds import ADDRESS
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.settings import AUTO, Settings
+from arpd.report.first_guess import first_guess
 
 if TYPE_CHECKING:
-    from arpd.host.config.first_file import LinkChoice
+    import argparse
+
     from arpd.model.link_topics import TopicList
     from arpd.model.settings import RelaySettings
     from arpd.report.first_guess import FirstGuess
@@ -29,32 +35,24 @@ _MOST_SECONDS = 600.0
 _LINK_DOMAINS = (77, 78)  # the second where the nodes live in the first
 
 
-class _NothingFoundError(ArpdError):
-    """No topic that could cross the link."""
-
-
-def add_topics(commands: argparse._SubParsersAction[argparse.ArgumentParser], *, default_config: Path) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        "topics",
-        help="list and measure what crosses the link or could; --suggest writes a first configuration",
-        description="""\
+_TEXT = """\
 Run on the robot while its nodes run. List the topics that cross the link or could, with type, rate and size. Topics
 that are published on this host are measured for some seconds; those of the other side are not, because that would bring
 them over the link once more. No daemon is needed, and nothing is changed. Drivers that work only for readers (such as
 image_transport's compressed pictures) work meanwhile; a large topic is read until 32 MB and ten messages have come.
 --suggest writes a first configuration instead, for a robot that has none: weight, minimum and highest rate of a topic
-are guessed by its type and its measured rate, each with its reason.""",
-        epilog="""\
+are guessed by its type and its measured rate, each with its reason.
+
 examples:
   arpd topics
   arpd topics --suggest > arpd.yaml          then: arpd check arpd.yaml
   arpd topics --suggest --robot robot.local > arpd.yaml
   arpd topics --seconds 20 --json | jq '.topics[] | {name, traffic}'
 
-exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 78 FILE is wrong""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 78 FILE is wrong"""
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds",
         type=within(0.1, _MOST_SECONDS, parse=float),
@@ -69,13 +67,7 @@ exit codes: 0 done, 1 there are no topics, 2 wrong usage, 69 ROS is not there, 7
     link = parser.add_argument_group("with --suggest")
     link.add_argument("--robot", metavar="ADDRESS", help="this robot on the link (default: its address there now)")
     link.add_argument("--base", metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help=f"configuration in force, for the relay's names and addresses (default {default_config} if it is right)",
-    )
-    parser.set_defaults(handler=_list_topics, default_config=default_config)
+    add_config(parser, otherwise="the defaults where that has faults")
 
 
 def _list_topics(options: argparse.Namespace) -> int:
@@ -83,15 +75,12 @@ def _list_topics(options: argparse.Namespace) -> int:
     settings = _settings(options)
     listed = _measured(options, settings.relay)
     if not listed.topics:
-        raise _NothingFoundError(_nothing_found(listed))
+        raise ArpdError(_nothing_found(listed))
     if options.json:
         print(json.dumps(_document(listed), indent=2))
     elif options.suggest:
         _suggest(listed, _link(options, settings))
     else:
-        from arpd.cli.output import show
-        from arpd.cli.topics_table import link_table, summary
-
         show(link_table(listed.topics))
         print("\n".join(["", *summary(listed)]))
     if listed.cannot_tell_hosts and not options.json:
@@ -100,8 +89,6 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 
 def _refuse_nonsense(options: argparse.Namespace) -> None:
-    from arpd.model.kinds import ADDRESS
-
     for name in ("robot", "base"):
         given = getattr(options, name)
         if given is None:
@@ -116,8 +103,6 @@ def _refuse_nonsense(options: argparse.Namespace) -> None:
 
 def _settings(options: argparse.Namespace) -> Settings:
     """Return the configuration in force; the defaults where the default file is missing or wrong."""
-    from arpd.host.config.load import load_settings
-
     if options.config is not None:
         return load_settings(options.config, interfaces=None)
     if not options.default_config.exists():
@@ -144,7 +129,7 @@ def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
     ):
         from arpd.ros.topic_measuring import TopicSurvey
 
-        survey = TopicSurvey(node, prefix=relay.link_prefix, is_of_interest=is_of_interest, on_progress=shown.reach)
+        survey = TopicSurvey(node, prefix=relay.link_prefix, is_of_interest=is_of_interest, on_progress=shown)
         return survey.run(options.seconds)
 
 
@@ -172,18 +157,14 @@ def _document(listed: TopicList) -> dict[str, Any]:
 
 def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
     """Return where the link is: as given, as configured, or as this host's interfaces tell."""
-    from arpd.host.config.first_file import LinkChoice
-    from arpd.host.config.load import local_domain
-    from arpd.host.interface import ipv4_addresses, likeliest_interface
-
     relay, here = settings.relay, local_domain()
     domains = (relay.link_domain, *_LINK_DOMAINS)
     robot, base = options.robot or relay.robot, options.base or relay.base
     interface = ""
     if robot is None:
         wanted = settings.link.interface
-        interface = (likeliest_interface() if wanted == AUTO else wanted) or ""
-        robot = min(ipv4_addresses().get(interface, ()), default=None)
+        interface = (host.likeliest_interface() if wanted == AUTO else wanted) or ""
+        robot = min(host.ipv4_addresses().get(interface, ()), default=None)
     return LinkChoice(
         link_domain=next(domain for domain in domains if domain is not None and domain != here),
         robot=robot,
@@ -195,9 +176,6 @@ def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
 
 def _suggest(listed: TopicList, link: LinkChoice) -> None:
     """Print the configuration; what its reader should know besides goes to stderr."""
-    from arpd.host.config.first_file import first_file
-    from arpd.report.first_guess import first_guess
-
     guess = first_guess(listed.topics)
     origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
     sys.stdout.write(first_file(guess, link, origin=origin))
@@ -221,3 +199,6 @@ def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str
 
 def _remark(words: str) -> None:
     print(f"arpd: {words}", file=sys.stderr)
+
+
+TOPICS = Command(_TEXT, _add_options, _list_topics)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.govern.plan import make_plan
-from arpd.model.allocation import Binding
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.solve.program import Program
 from arpd.solve.topics import rows_of_traffic
@@ -18,10 +16,8 @@ if TYPE_CHECKING:
     from arpd.model.allocation import Allocation, Topic, TopicAllocation
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
-    from arpd.model.settings import Backend, Settings
+    from arpd.model.settings import Settings
     from arpd.solve.topics import Traffic
-
-_ROUNDING = 1e-6  # a rate this close to a bound is at it
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,21 +34,6 @@ class PlannedTopic:
         """Rate after rounding to whole nanoseconds of period, 0 = paused (Hz)."""
         period_ns = self.allocation.deadline_ns
         return NANOSECONDS_PER_SECOND / period_ns if period_ns else 0.0
-
-    @property
-    def has_its_wish(self) -> bool:
-        """True when it gets its desired rate."""
-        return self.allocation.binding is Binding.DESIRED_RATE
-
-    @property
-    def is_below_floor(self) -> bool:
-        """True when it gets less than its floor."""
-        return self.allocation.rate_hz < self.topic.min_rate_hz * (1 - _ROUNDING)
-
-    @property
-    def is_at_floor(self) -> bool:
-        """True when it gets its floor and no more."""
-        return math.isclose(self.allocation.rate_hz, self.topic.min_rate_hz, rel_tol=_ROUNDING)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,7 +71,6 @@ class OfflinePlanner:
     traffic : load of the topics to plan for
     publishers : the measured ones among them, for the deadlines that their readers request
     crossing : topics that cross the link, managed or not, as far as known
-    backend : solver; None = the one in ``settings``
     """
 
     def __init__(
@@ -100,14 +80,13 @@ class OfflinePlanner:
         *,
         publishers: Iterable[PublisherState] = (),
         crossing: int = 0,
-        backend: Backend | None = None,
     ) -> None:
         self._settings = settings
         self._traffic = sorted(traffic, key=lambda each: each.topic)
         self._publishers = tuple(publishers)
         self._crossing = crossing
         self._topics = rows_of_traffic(self._traffic, settings)
-        self._program = Program(settings, backend=backend)
+        self._program = Program(settings)
 
     def plan(self, capacity_bytes_per_second: float) -> OfflinePlan:
         """Return the daemon's first plan for a link of this capacity, before headroom, ≥ 0 (bytes/s)."""

@@ -51,12 +51,13 @@ class NoAnswerError(DaemonUnreachableError):
     Parameters
     ----------
     message : what the user reads
+    url : the address
     is_late : whether somebody listens, and has not answered in time
     """
 
-    def __init__(self, message: str, *, is_late: bool = False) -> None:
+    def __init__(self, message: str, *, url: str, is_late: bool) -> None:
         super().__init__(message)
-        self.is_late = is_late
+        self.url, self.is_late = url, is_late
 
 
 class NotKnownError(ArpdError):

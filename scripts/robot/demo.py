@@ -125,10 +125,10 @@ def _run(side: Side, logs: Path, schedule: RateSchedule, duration_s: float, titl
         progress(title, total=duration_s) as shown,
         world_of(robot, replace(side, warm_up_s=0.0), rate=course[0][1], logs=logs) as world,
     ):
-        shown.reach(0.0, "starting the robot")
+        shown(0.0, "starting the robot")
         times_s = [k * _SHOW_S for k in range(int(duration_s / _SHOW_S))]
         events = [
-            (at_s, partial(shown.reach, at_s, f"the link carries {schedule.rate_at(at_s) * 8e-6:.1f} Mbit/s"))
+            (at_s, partial(shown, at_s, f"the link carries {schedule.rate_at(at_s) * 8e-6:.1f} Mbit/s"))
             for at_s in times_s
         ]
         account, spent = world.play(course, duration_s, events=events)
@@ -204,7 +204,7 @@ def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
         for is_managed in (False, True):
-            shown.step("with arpd" if is_managed else "without arpd")
+            shown(float(is_managed), "with arpd" if is_managed else "without arpd")
             sides.append(simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics)
     return pair_up(*sides)
 

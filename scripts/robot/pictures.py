@@ -73,7 +73,7 @@ def run_and_take(folder: Path) -> None:
     ):
         world.start(stack)
         world.begin(math.inf)
-        events = [(float(at_s), partial(shown.reach, at_s)) for at_s in range(int(_DURATION_S))]
+        events = [(float(at_s), partial(shown, at_s, "")) for at_s in range(int(_DURATION_S))]
         world.follow(_COURSE, time.monotonic(), _DURATION_S, events=events)
         take(url, folder)
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from arpd.cli import main as cli
+from arpd.cli import options
 
 CONFIG = """\
 relay: {topics: [{name: /camera}]}
@@ -78,12 +78,12 @@ def test_the_same_seed_gives_the_same_document(simulate):
 
 def test_without_a_configuration_the_demo_robot_plays(simulate, files, monkeypatch):
     """A default configuration that exists is read, one that is named must exist, and the demo's fills in."""
-    monkeypatch.setattr(cli, "DEFAULT_CONFIG", files / "nosuch.yaml")
+    monkeypatch.setattr(options, "DEFAULT_CONFIG", files / "nosuch.yaml")
     code, out, _ = simulate("--rate", "0:20mbit", *QUICK, config="empty.yaml")
     assert (code, "the demo robot, 12 topics" in out) == (0, True)
     code, _, err = simulate("--rate", "0:20mbit", *QUICK, config="nosuch.yaml")
     assert (code, err.startswith("nosuch.yaml:1:1: file: ")) == (78, True)
-    monkeypatch.setattr(cli, "DEFAULT_CONFIG", files / "tiny.yaml")
+    monkeypatch.setattr(options, "DEFAULT_CONFIG", files / "tiny.yaml")
     document = json.loads(simulate("--rate", "0:20mbit", *QUICK, "--json", config=None)[1])
     assert (document["config"], document["robot"]["is_demo"]) == (str(files / "tiny.yaml"), False)
 

@@ -61,6 +61,9 @@ def measured(topic="/scan", **fields):
         "payload_bytes": 6000.0,
         "source_rate_hz": 20.0,
         "remote_readers": 1,
+        "type_name": "",
+        "depth": 1,
+        "baseline_depth": 1,
         **fields,
     }
     return {"topic": topic, "confirmed": publisher}

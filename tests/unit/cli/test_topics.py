@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 import yaml
 
-from arpd.cli import main as cli
+from arpd.cli import options
 from arpd.host import interface as host
 from arpd.model.errors import RosUnavailableError
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
@@ -47,7 +47,7 @@ def robot(monkeypatch, tmp_path):
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
         monkeypatch.setattr(host, "likeliest_interface", lambda: "wlan0")
         monkeypatch.setattr(host, "ipv4_addresses", lambda: {"wlan0": frozenset({"10.0.0.7"})})
-        monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "installed.yaml")
+        monkeypatch.setattr(options, "DEFAULT_CONFIG", tmp_path / "installed.yaml")
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
         monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # which the command may set for its process
         return asked
