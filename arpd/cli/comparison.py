@@ -79,9 +79,7 @@ def comparison_document(asked: Asked, comparison: Comparison) -> dict[str, Any]:
         "duration_s": asked.duration_s,
         "seed": asked.seed,
         "warm_up_s": WARM_UP_S,
-        "link": {
-            name: value for name, value in asdict(asked.model).items() if name not in {"losses", "outages", "bursts"}
-        },
+        "link": {name: value for name, value in asdict(asked.model).items() if name not in {"losses", "outages"}},
         "robot": {
             "is_demo": asked.is_demo,
             "topics": [

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import partial
 from random import Random
 from typing import TYPE_CHECKING
 
 from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
+from arpd.model.wire import HEARTBEAT_S
 from arpd.sim.baselines import Truth
 from arpd.sim.demo import demo_topics
 from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
 from arpd.sim.link import LinkModel, Loopback, SimulatedLink
 from arpd.sim.robot import SampleSource, SimulatedPublisher, SimulatedThread
-from arpd.sim.service import Service
+from arpd.sim.schedule import Service
 from arpd.sim.socket import SOCKET_BYTES
 from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from arpd.daemon.world import CapacityEstimator
     from arpd.model.link import LinkState
     from arpd.model.settings import Settings
-    from arpd.sim.foreign import ForeignFlow
+    from arpd.sim.link import ForeignFlow
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
     from arpd.sim.schedule import RateSchedule
@@ -45,7 +45,6 @@ _SHOW_S = 0.1
 _UNIX_S = 1.7e9
 _TRUTH_S = 0.2  # the bound knows the mean rate of this time ahead; nobody could follow faster changes
 _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
-_ARPD_HEARTBEAT_S = 0.05  # arpd/ros/fastdds.xml
 _RELAY_HOP_S = 0.0005
 _ON_HOST_S = 0.001
 
@@ -136,7 +135,7 @@ def run(
     has_peer : whether a peer receives probes and sends reports
     make_estimator : makes an estimator from a function that returns the truth; arpd's own by default
     """
-    plant = _Plant(
+    run_ = _Run(
         schedule,
         duration_s,
         seed=seed,
@@ -144,13 +143,14 @@ def run(
         foreign=foreign,
         topics=demo_topics() if topics is None else topics,
     )
-    if not managed:
-        return _plain(plant)
-    return _managed(plant, settings, make_estimator, into_peer=into_peer, has_peer=has_peer)
+    run_.populate(managed=managed, has_ends=managed and settings.relay.link_domain is not None)
+    if managed:
+        run_.govern(settings, make_estimator, into_peer=into_peer, has_peer=has_peer)
+    return run_.play()
 
 
-class _Plant:
-    """Links, publishers and sources of one run, and the moments recorded."""
+class _Run:
+    """Links, publishers, sources and perhaps arpd of one run, and the moments recorded."""
 
     def __init__(
         self,
@@ -162,32 +162,31 @@ class _Plant:
         foreign: tuple[ForeignFlow, ...],
         topics: tuple[SimTopic, ...],
     ) -> None:
-        self.timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
+        self._timeline = Timeline(_RUN_STARTS_S - _LEAD_S)
         self._service = Service(schedule, 0.0)
-        self._model = model
-        self._cross_traffic = foreign
-        self._topics = topics
-        self.end_s = _RUN_STARTS_S + duration_s
-        self._seed = seed
-        self.up, self.down = (
+        self._model, self._cross_traffic, self._topics, self._seed = model, foreign, topics, seed
+        self._end_s = _RUN_STARTS_S + duration_s
+        self._up, self._down = (
             SimulatedLink(
-                self.timeline, schedule, origin_s=_RUN_STARTS_S, model=model, random=self.random(f"link {name}")
+                self._timeline, schedule, origin_s=_RUN_STARTS_S, model=model, random=self._random(f"link {name}")
             )
             for name in ("up", "down")
         )
-        self._host = Loopback(self.timeline)
         for flow in foreign:
-            flow.play(self.timeline, self.up, origin_s=_RUN_STARTS_S)
+            flow.play(self._timeline, self._up, origin_s=_RUN_STARTS_S)
         self._received: deque[tuple[float, float]] = deque()  # when (s), bytes
-        self.publishers: list[SimulatedPublisher | SimulatedLinkTopic] = []
-        self.end: SimulatedEnd | None = None  # the robot's, of a relay with two ends
-        self.moments: list[Moment] = []
+        self._publishers: list[SimulatedPublisher | SimulatedLinkTopic] = []
+        self._ends: dict[str, SimulatedEnd] = {}  # of a relay with two ends, by node
+        self._moments: list[Moment] = []
+        self._world: SimulatedWorld | None = None  # with arpd
+        self._daemon: Daemon | None = None
+        self._causes: list[str] = []  # of the plans since the last moment
 
-    def random(self, purpose: str) -> Random:
+    def _random(self, purpose: str) -> Random:
         """Make a separate source of randomness for each part, so that no part changes another's."""
         return Random(f"{self._seed} {purpose}")  # noqa: S311 - a repeatable run, not a secret
 
-    def populate(self, *, managed: bool, has_ends: bool = False) -> None:
+    def populate(self, *, managed: bool, has_ends: bool) -> None:
         """Make a publisher and a source per topic.
 
         Parameters
@@ -195,63 +194,114 @@ class _Plant:
         managed : with arpd, where relayed topics have the relay's prefix
         has_ends : with a relay's two ends, which carry all that crosses the link
         """
-        threads = {node: SimulatedThread(self.timeline) for node in (RELAY, PLANNER)}
-        ends = self._ends() if has_ends else {}
+        threads = {node: SimulatedThread(self._timeline) for node in (RELAY, PLANNER)}
+        if has_ends:
+            near = SimulatedEnd(self._timeline, there=self._up, back=self._down, session=1)
+            far = SimulatedEnd(self._timeline, there=self._down, back=self._up, session=2)
+            near.start(far)
+            far.start(near)
+            self._ends = {RELAY: near, PLANNER: far}
         for topic in self._topics:
             node = PLANNER if topic.direction is Direction.ACTUATION else RELAY
             publisher: SimulatedPublisher | SimulatedLinkTopic
-            if node in ends and topic.direction is not Direction.LOCAL:
-                publisher = SimulatedLinkTopic(topic, end=ends[node], node=node, ingress_s=_RELAY_HOP_S)
+            if has_ends and topic.direction is not Direction.LOCAL:
+                publisher = SimulatedLinkTopic(topic, end=self._ends[node], node=node, ingress_s=_RELAY_HOP_S)
             else:
                 publisher = self._publisher(topic, node, threads[node], managed=managed)
-            self.publishers.append(publisher)
+            self._publishers.append(publisher)
             SampleSource(
-                self.timeline,
+                self._timeline,
                 publisher.publish,
                 rate_hz=topic.rate_hz,
                 start_s=_RUN_STARTS_S,
-                end_s=self.end_s,
-                random=self.random(topic.name),
+                end_s=self._end_s,
+                random=self._random(topic.name),
             )
-        self.timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
 
     def _publisher(self, topic: SimTopic, node: str, thread: SimulatedThread, *, managed: bool) -> SimulatedPublisher:
-        there, back = self._ways(topic.direction)
+        host = Loopback(self._timeline)
+        ways: dict[Direction, tuple[Carrier, Carrier]] = {
+            Direction.LOCAL: (host, host),
+            Direction.SENSING: (self._up, self._down),
+            Direction.ACTUATION: (self._down, self._up),
+        }
+        there, back = ways[topic.direction]
         relayed = managed and bool(topic.prefix)
         return SimulatedPublisher(
-            self.timeline,
+            self._timeline,
             topic,
             there=there,
             back=back,
             room_bytes=SOCKET_BYTES if self._model.pushes_back else math.inf,
             name=topic.prefix + topic.name if relayed else topic.name,
             node=node,
-            heartbeat_s=_ARPD_HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
+            heartbeat_s=HEARTBEAT_S if managed else _PLAIN_HEARTBEAT_S,
             ingress_s=_RELAY_HOP_S if relayed else 0.0,
             thread=thread,
         )
 
-    def _ends(self) -> dict[str, SimulatedEnd]:
-        """Return the end of each host; they speak with each other from now on."""
-        near = self.end = SimulatedEnd(self.timeline, there=self.up, back=self.down, session=1)
-        far = SimulatedEnd(self.timeline, there=self.down, back=self.up, session=2)
-        near.start(far)
-        far.start(near)
-        return {RELAY: near, PLANNER: far}
+    def govern(
+        self,
+        settings: Settings,
+        make_estimator: EstimatorMaker | None,
+        *,
+        into_peer: tuple[ForeignFlow, ...],
+        has_peer: bool,
+    ) -> None:
+        """Let arpd manage the publishers."""
+        clock = self._timeline
+        ticked_s = clock.now_s
 
-    def _ways(self, direction: Direction) -> tuple[Carrier, Carrier]:
-        """Return the ways of samples and of their acknowledgements."""
-        if direction is Direction.LOCAL:
-            return self._host, self._host
-        return (self.up, self.down) if direction is Direction.SENSING else (self.down, self.up)
+        def wake() -> None:
+            alarm.set(min(alarm.when_s, max(clock.now_s + _ON_HOST_S, ticked_s + LEAST_PAUSE_S)))
 
-    def truth(self) -> Truth:
+        def tick() -> None:
+            nonlocal ticked_s
+            ticked_s = clock.now_s
+            decision = daemon.tick(clock.now_s)
+            alarm.set(ticked_s + daemon.pause_s)
+            if decision.level_changed:
+                self._causes.append(decision.reason)
+
+        self._world = SimulatedWorld(
+            clock,
+            up=self._up,
+            down=self._down,
+            publishers=self._publishers,
+            end=self._ends.get(RELAY),
+            random=self._random("world"),
+            graph=settings.graph,
+            on_report=wake,
+            into_peer=tuple(flow.after(_RUN_STARTS_S) for flow in into_peer),
+            has_peer=has_peer,
+        )
+        daemon = self._daemon = Daemon(
+            self._world,
+            settings,
+            interface="sim0",
+            clock=lambda: clock.now_s,
+            wall_clock=lambda: _UNIX_S + clock.now_s,
+            estimator=make_estimator(self._truth) if make_estimator else None,
+        )
+        alarm = Alarm(clock, tick)
+        alarm.set(clock.now_s + TICK_S)
+
+    def play(self) -> ScenarioResult:
+        """Run to the end, and record a moment ten times a second."""
+        self._timeline.every(_AGE_S, self._sample_ages, first_s=_RUN_STARTS_S + _AGE_S)
+        self._timeline.every(_SHOW_S, self._show, first_s=_RUN_STARTS_S)
+        self._timeline.run_until(self._end_s + _DRAIN_S)
+        return ScenarioResult(
+            topics=tuple(publisher.result() for publisher in self._publishers), moments=tuple(self._moments)
+        )
+
+    def _truth(self) -> Truth:
         """Return the true state of the link: the rates of the next 0.2 s, and the queue and the delivery of now."""
-        run_s = max(0.0, self.timeline.now_s - _RUN_STARTS_S)
+        run_s = max(0.0, self._timeline.now_s - _RUN_STARTS_S)
         rate = self._mean_rate(run_s, _TRUTH_S)
         return Truth(
             capacity_bytes_per_second=rate,
-            queue_delay_s=self.up.queue_delay_s,
+            queue_delay_s=self._up.queue_delay_s,
             cross_traffic_bytes_per_second=sum(
                 flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._cross_traffic
             )
@@ -260,15 +310,7 @@ class _Plant:
             # Aggregates are full on a busy link.
             packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
             loss_ratio=self._model.loss_ratio(run_s),
-            is_out=rate <= 0 or any(start_s <= run_s < end_s for start_s, end_s in self._model.outages),
-        )
-
-    def finish(self, show: Callable[[Moment], Moment]) -> ScenarioResult:
-        """Run to the end, and record a moment ten times a second."""
-        self.timeline.every(_SHOW_S, partial(self._show, show), first_s=_RUN_STARTS_S)
-        self.timeline.run_until(self.end_s + _DRAIN_S)
-        return ScenarioResult(
-            topics=tuple(publisher.result() for publisher in self.publishers), moments=tuple(self.moments)
+            is_out=rate <= 0 or self._model.is_out(run_s),
         )
 
     def _mean_rate(self, start_s: float, span_s: float) -> float:
@@ -277,112 +319,50 @@ class _Plant:
 
     def _delivered_bytes_per_second(self) -> float:
         """Return the rate at which bytes arrived over about the last 0.2 s (bytes/s)."""
-        now_s, received = self.timeline.now_s, self._received
-        received.append((now_s, self.up.received_bytes()))
+        now_s, received = self._timeline.now_s, self._received
+        received.append((now_s, self._up.received_bytes()))
         while len(received) > 1 and received[1][0] <= now_s - _TRUTH_S:
             received.popleft()
         span_s = now_s - received[0][0]
         return (received[-1][1] - received[0][1]) / span_s if span_s > 0 else 0.0
 
     def _sample_ages(self) -> None:
-        if self.timeline.now_s < self.end_s:
-            for publisher in self.publishers:
-                publisher.arrivals.on_age(self.timeline.now_s)
+        if self._timeline.now_s < self._end_s:
+            for publisher in self._publishers:
+                publisher.arrivals.on_age(self._timeline.now_s)
 
-    def _show(self, show: Callable[[Moment], Moment]) -> None:
-        t_s = round(self.timeline.now_s - _RUN_STARTS_S, 6)  # so that people can read it
-        if self.timeline.now_s < self.end_s:
-            self.moments.append(
-                show(
-                    Moment(
-                        t_s=t_s,
-                        truth_bytes_per_second=self._mean_rate(t_s, _SHOW_S),
-                        queue_delay_s=self.up.queue_delay_s,
-                        delivered_bytes=sum(
-                            publisher.arrivals.delivered_bytes
-                            for publisher in self.publishers
-                            if publisher.topic.direction is Direction.SENSING
-                        ),
-                        carried_bytes=self.up.received_bytes(),
-                        swaps=sum(publisher.swaps for publisher in self.publishers),
-                    )
-                )
-            )
-
-
-def _plain(plant: _Plant) -> ScenarioResult:
-    plant.populate(managed=False)
-    return plant.finish(lambda moment: moment)
-
-
-def _managed(
-    plant: _Plant,
-    settings: Settings,
-    make_estimator: EstimatorMaker | None,
-    *,
-    into_peer: tuple[ForeignFlow, ...],
-    has_peer: bool,
-) -> ScenarioResult:
-    plant.populate(managed=True, has_ends=settings.relay.link_domain is not None)
-    clock = plant.timeline
-    ticked_s = clock.now_s
-
-    def wake() -> None:
-        alarm.set(min(alarm.when_s, max(clock.now_s + _ON_HOST_S, ticked_s + LEAST_PAUSE_S)))
-
-    world = SimulatedWorld(
-        clock,
-        up=plant.up,
-        down=plant.down,
-        publishers=plant.publishers,
-        end=plant.end,
-        random=plant.random("world"),
-        graph=settings.graph,
-        on_report=wake,
-        into_peer=tuple(flow.after(_RUN_STARTS_S) for flow in into_peer),
-        has_peer=has_peer,
-    )
-    daemon = Daemon(
-        world,
-        settings,
-        interface="sim0",
-        clock=lambda: clock.now_s,
-        wall_clock=lambda: _UNIX_S + clock.now_s,
-        estimator=make_estimator(plant.truth) if make_estimator else None,
-    )
-    causes: list[str] = []
-
-    def tick() -> None:
-        nonlocal ticked_s
-        ticked_s = clock.now_s
-        decision = daemon.tick(clock.now_s)
-        alarm.set(ticked_s + daemon.pause_s)
-        if decision.level_changed:
-            causes.append(decision.reason)
-
-    def show(moment: Moment) -> Moment:
-        snapshot = daemon.snapshot
-        if snapshot is None:
-            return moment
-        cause = ", ".join(causes)
-        causes.clear()
-        return replace(
-            moment,
-            estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
-            cross_traffic_bytes_per_second=snapshot.link.cross_traffic_bytes_per_second,
-            level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
-            budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
-            packet_overhead_s=snapshot.link.packet_overhead_s,
-            state=snapshot.link.state,
-            allowed=snapshot.decision.allowed,
-            generation=snapshot.decision.plan.generation,
-            planned=len(snapshot.decision.plan.topics),
-            confirmed=snapshot.confirmed,
-            cause=cause,
-            probe_bytes=world.probes_sent()[1],
-            report_bytes=world.report_bytes,
+    def _show(self) -> None:
+        if self._timeline.now_s >= self._end_s:
+            return
+        t_s = round(self._timeline.now_s - _RUN_STARTS_S, 6)  # so that people can read it
+        moment = Moment(
+            t_s=t_s,
+            truth_bytes_per_second=self._mean_rate(t_s, _SHOW_S),
+            queue_delay_s=self._up.queue_delay_s,
+            delivered_bytes=sum(
+                publisher.arrivals.delivered_bytes
+                for publisher in self._publishers
+                if publisher.topic.direction is Direction.SENSING
+            ),
+            carried_bytes=self._up.received_bytes(),
+            swaps=sum(publisher.swaps for publisher in self._publishers),
         )
-
-    alarm = Alarm(clock, tick)
-    alarm.set(clock.now_s + TICK_S)
-    return plant.finish(show)
+        if self._world is not None and self._daemon is not None and (snapshot := self._daemon.snapshot) is not None:
+            moment = replace(
+                moment,
+                estimate_bytes_per_second=snapshot.link.capacity_bytes_per_second,
+                cross_traffic_bytes_per_second=snapshot.link.cross_traffic_bytes_per_second,
+                level_bytes_per_second=snapshot.decision.plan.level_bytes_per_second,
+                budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
+                packet_overhead_s=snapshot.link.packet_overhead_s,
+                state=snapshot.link.state,
+                allowed=snapshot.decision.allowed,
+                generation=snapshot.decision.plan.generation,
+                planned=len(snapshot.decision.plan.topics),
+                confirmed=snapshot.confirmed,
+                cause=", ".join(self._causes),
+                probe_bytes=self._world.probes_sent()[1],
+                report_bytes=self._world.report_bytes,
+            )
+            self._causes.clear()
+        self._moments.append(moment)

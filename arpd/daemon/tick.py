@@ -6,7 +6,6 @@ import logging
 import math
 import time
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd import __version__
@@ -184,17 +183,19 @@ class Daemon:
         """Solve for the budget of this moment and for the lasting one, let the governor decide, and send its plan."""
         traffic = measured_traffic(seen.publishers) if self._estimator.has_evidence else ()
         topics = rows_of_traffic(traffic, self.settings)
-        solve = partial(
-            self._program.solve,
-            topics=topics,
-            memory_budget_bytes=memory_budget_bytes(seen.memory, self.settings.program),
-            packet_overhead_s=link.available_packet_overhead_s,
-            crossing=_crossing(seen),
-        )
-        rates = solve(link.available_bytes_per_second, share=_share(budget, link))
+        memory_bytes, crossing = memory_budget_bytes(seen.memory, self.settings.program), _crossing(seen)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
-        lasting_capacity, lasting_overhead_s = self._budget.lasting
-        lasting = solve(lasting_capacity, packet_overhead_s=lasting_overhead_s)
+        capacity, overhead_s = self._budget.lasting
+        lasting = self._program.solve(capacity, topics, memory_bytes, packet_overhead_s=overhead_s, crossing=crossing)
+        rates = self._program.follow(
+            lasting,
+            link.available_bytes_per_second,
+            topics,
+            memory_bytes,
+            packet_overhead_s=link.available_packet_overhead_s,
+            share=_share(budget, link),
+            crossing=crossing,
+        )
         decision = self._decide(now_s, seen, link, rates=rates, lasting=lasting, topics=topics)
         come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
         if not seen.active_daemon:

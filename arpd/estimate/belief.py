@@ -21,10 +21,13 @@ class Belief:
     ----------
     filter : probability of every capacity
     fell_at_s : when it fell by much last (s)
+    pinned, radio : capacity that the configuration pins, over everything; bit rate of the radio (bytes/s)
     """
 
     def __init__(self, capacity: float) -> None:
         self.assume(capacity)
+        self.pinned: float | None = None
+        self.radio: float | None = None
         self.kind = CapacityKind.CONFIGURED
         self.changed_at_s = self.fell_at_s = -math.inf
         self.evidence = "no evidence yet"
@@ -54,28 +57,13 @@ class Belief:
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
         self.events_by_kind[event] += 1
 
-    def in_force(self, *, pinned: float | None, radio: float | None) -> tuple[float, CapacityKind]:
-        """Return the capacity that counts (bytes/s), and its kind; `stated` explains the arguments."""
-        if pinned is not None:
-            return pinned, CapacityKind.CONFIGURED
-        if radio is not None and self.kind is not CapacityKind.PEER and RADIO_SHARE * radio < self.capacity:
-            return RADIO_SHARE * radio, CapacityKind.RADIO
-        return self.capacity, self.kind
-
-    def stated(
-        self, now_s: float, *, since_s: float, pinned: float | None, radio: float | None
-    ) -> tuple[float, CapacityKind, str, float]:
-        """Return the capacity to state (bytes/s), its kind, its evidence, and the age of that (s).
-
-        Parameters
-        ----------
-        since_s : time of the newest evidence, even if it changed nothing (s)
-        pinned, radio : capacity that the configuration pins, over everything; bit rate of the radio (bytes/s)
-        """
-        capacity, kind = self.in_force(pinned=pinned, radio=radio)
-        if pinned is not None:
-            return capacity, kind, "pinned by the configuration", 0.0
-        evidence = self.evidence
-        if radio is not None and kind is CapacityKind.RADIO:
-            evidence = f"{capacity * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
-        return capacity, kind, evidence, now_s - max(self.changed_at_s, since_s)
+    def in_force(self) -> tuple[float, CapacityKind, str]:
+        """Return the capacity that counts (bytes/s), its kind, and why; the configuration or the radio may set it."""
+        if self.pinned is not None:
+            return self.pinned, CapacityKind.CONFIGURED, "pinned by the configuration"
+        if self.radio is not None and self.kind is not CapacityKind.PEER:
+            bound, radio_mbit = RADIO_SHARE * self.radio, self.radio * 8e-6
+            if bound < self.capacity:
+                why = f"{bound * 8e-6:.2f} Mbit/s: the radio sends at {radio_mbit:.1f} Mbit/s"
+                return bound, CapacityKind.RADIO, why
+        return self.capacity, self.kind, self.evidence

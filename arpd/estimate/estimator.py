@@ -55,6 +55,7 @@ class Estimator:
         self._settings = settings
         self._schedule = ProbeSchedule()
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
+        self._belief.pinned = settings.capacity_bytes_per_second
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
@@ -75,7 +76,6 @@ class Estimator:
         self._queues = QueuePast(parameters.BUSY_AFTER_S)
         self._learns_from_s = -math.inf
         self._used_s = math.inf  # when more than next to nothing left or arrived last
-        self._radio: float | None = None  # bit rate (bytes/s)
 
     @property
     def has_evidence(self) -> bool:
@@ -88,7 +88,7 @@ class Estimator:
 
     def reconfigure(self, settings: LinkSettings) -> None:
         """Take new settings; measurements stay."""
-        self._settings = settings
+        self._settings, self._belief.pinned = settings, settings.capacity_bytes_per_second
         if self._belief.kind is CapacityKind.CONFIGURED:
             self._belief.assume(settings.initial_capacity_bytes_per_second)
         if settings.capacity_bytes_per_second is not None:
@@ -100,7 +100,7 @@ class Estimator:
         # The rate of a short time counts less: how often this host looks is no evidence.
         self._look_weight = min(1.0, (now_s - self._last_s) / parameters.LOOK_S)
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
-        self._radio = observation.radio_bytes_per_second
+        self._belief.radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
         self._note_sizes(() if observation.relay else observation.publishers)
         moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
@@ -336,9 +336,8 @@ class Estimator:
 
     @property
     def _capacity(self) -> float:
-        """Capacity in force, which the configuration or the radio may set; no division by a silent radio (bytes/s)."""
-        pinned = self._settings.capacity_bytes_per_second
-        return max(1.0, self._belief.in_force(pinned=pinned, radio=self._radio)[0])
+        """Capacity in force; no division by a silent radio (bytes/s)."""
+        return max(1.0, self._belief.in_force()[0])
 
     @property
     def _outage_s(self) -> float:
@@ -370,8 +369,8 @@ class Estimator:
         return self._trains.packet_overhead_s if pinned is None else pinned
 
     def _estimate(self, now_s: float, cross_traffic: float) -> LinkEstimate:
-        since_s, pinned = max(self._trains.newest_s, self._started_at_s), self._settings.capacity_bytes_per_second
-        capacity, kind, evidence, age_s = self._belief.stated(now_s, since_s=since_s, pinned=pinned, radio=self._radio)
+        capacity, kind, evidence = self._belief.in_force()
+        since_s = max(self._trains.newest_s, self._started_at_s, self._belief.changed_at_s)
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
@@ -382,7 +381,7 @@ class Estimator:
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
             is_resting=self._is_resting,
-            age_s=age_s,
+            age_s=0.0 if self._belief.pinned is not None else now_s - since_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,
             packet_overhead_s=self._overhead_s,

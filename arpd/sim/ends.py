@@ -15,7 +15,7 @@ from arpd.model.wire import HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import Assembly, Record, pack, unpack, writer_key
 from arpd.relay.flight import SIGN_BYTES
 from arpd.relay.link_queue import LinkQueue
-from arpd.sim.arrivals import Arrivals
+from arpd.sim.result import Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
 from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
@@ -171,7 +171,8 @@ class SimulatedLinkTopic:
     def result(self) -> TopicResult:
         """Return the result of the run."""
         flow = self._lane.state(self._end.timeline.now_s)
-        return self.topic.result(flow, self.arrivals, expected=flow.offered)
+        topic = self.topic
+        return self.arrivals.result(flow, topic=topic.name, source_rate_hz=topic.rate_hz, expected=flow.offered)
 
     def on_arrival(self, sample: bytes) -> None:
         """Do nothing: a chunk has no latency of its own."""

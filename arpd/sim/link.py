@@ -1,27 +1,26 @@
-"""A link in virtual time: a FIFO bottleneck with tail drop, propagation delay and loss; and the way within a host."""
+"""A link in virtual time: a FIFO bottleneck with tail drop, propagation delay and loss; a host; other traffic."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.sim.aggregation import AggregatingBottleneck
-from arpd.sim.bottleneck import FluidBottleneck
-from arpd.sim.loss import Losses, check_ascending, check_probability, either, loss_at
-from arpd.sim.service import Service
+from arpd.sim.schedule import Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
+    from typing import Self
 
-    from arpd.sim.bottleneck import Bottleneck
-    from arpd.sim.loss import GilbertElliott, LossStep
-    from arpd.sim.schedule import RateSchedule
+    from arpd.sim.schedule import LossStep, RateSchedule
     from arpd.sim.timeline import Timeline
 
-_MTU_FRAME_BYTES = 1514
+FRAME_BYTES = 1514  # on the wire, of a full packet
 _ON_HOST_S = 0.001
+# Arrivals are counted when they are asked for, which may take an hour, or when there may be so many.
+_MOST_UNCOUNTED = 1000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,10 +34,8 @@ class LinkModel:
     loss : probability that a packet is lost after it has used the link, 0..1
     outages : spans of run time in which nothing arrives in either direction (s, s)
     losses : further loss over run time, by ascending start
-    bursts : further loss in bursts, at different times for each direction
     packet_overhead_s : link time that a transmission takes beyond its bytes, >= 0 (s)
-    aggregate_packets : most packets of one transmission if they wait together, >= 1; all of them arrive when it ends,
-        as in an A-MPDU of IEEE 802.11n
+    aggregate_packets : most packets of one transmission, where so many wait, >= 1
     pushes_back : whether the bottleneck is the sender's interface, where a full queue makes a writer wait; otherwise it
         is between the hosts, an access point for example
     firmware_bytes : bytes that the adapter holds below the interface's counter, hidden from the host, >= 0 (bytes)
@@ -50,27 +47,26 @@ class LinkModel:
     loss: float = 0.0
     outages: tuple[tuple[float, float], ...] = ()
     losses: tuple[LossStep, ...] = ()
-    bursts: GilbertElliott | None = None
     packet_overhead_s: float = 0.0
     aggregate_packets: int = 1
     firmware_bytes: int = 0
 
-    def __post_init__(self) -> None:
-        check_probability("loss", self.loss)
-        check_ascending(self.losses)
-        least = {"delay_s": 0, "queue_bytes": 0, "packet_overhead_s": 0, "aggregate_packets": 1, "firmware_bytes": 0}
-        for name, bound in least.items():
-            if not bound <= (value := getattr(self, name)) < math.inf:
-                raise ValueError(f"{name} {value}: must be {bound} or more")
+    def is_out(self, run_s: float) -> bool:
+        """Return whether nothing arrives at this time."""
+        return any(start_s <= run_s < end_s for start_s, end_s in self.outages)
 
     def loss_ratio(self, run_s: float) -> float:
-        """Return the share of packets that are lost; bursts count by their mean, outages not at all."""
-        bursts = self.bursts.mean_loss if self.bursts else 0.0
-        return either(either(self.loss, loss_at(self.losses, run_s)), bursts)
+        """Return the share of packets that are lost; outages do not count."""
+        further = next((step.loss for step in reversed(self.losses) if step.start_s <= run_s), 0.0)
+        return 1.0 - (1.0 - self.loss) * (1.0 - further)
 
 
 class SimulatedLink:
     """One direction of the link.
+
+    It needs no event per packet: it is never idle while it holds something, so a datagram leaves when the backlog
+    before it and the datagram itself have been served, and that moment is known at once. Packets that wait share
+    transmissions, and each takes its part of their overhead; an idle link does not wait for more packets.
 
     Parameters
     ----------
@@ -79,39 +75,26 @@ class SimulatedLink:
     origin_s : start of run time (s)
     model : other properties of the link
     random : source of the losses
+
+    Attributes
+    ----------
+    sent_packets : accepted by the near interface
+    dropped_packets : dropped because the queue was full
+    lost_packets : sent, but they will not arrive
     """
 
     def __init__(
         self, timeline: Timeline, schedule: RateSchedule, *, origin_s: float, model: LinkModel, random: Random
     ) -> None:
-        self._timeline = timeline
-        self._firmware_bytes = model.firmware_bytes
+        self._timeline, self._origin_s, self._model, self._random = timeline, origin_s, model, random
         self._service = Service(schedule, origin_s)
-        losses = Losses(
-            loss=model.loss,
-            steps=model.losses,
-            bursts=model.bursts,
-            outages=model.outages,
-            origin_s=origin_s,
-            random=random,
-        )
         # One frame is in service, not queued.
-        room_bytes = model.queue_bytes + model.firmware_bytes + _MTU_FRAME_BYTES
-        self._bottleneck: Bottleneck
-        if model.packet_overhead_s == 0.0 and model.aggregate_packets == 1:
-            self._bottleneck = FluidBottleneck(
-                timeline, self._service, losses, delay_s=model.delay_s, room_bytes=room_bytes
-            )
-        else:
-            self._bottleneck = AggregatingBottleneck(
-                timeline,
-                self._service,
-                losses,
-                delay_s=model.delay_s,
-                room_bytes=room_bytes,
-                overhead_s=model.packet_overhead_s,
-                aggregate_packets=model.aggregate_packets,
-            )
+        self._room_bytes = model.queue_bytes + model.firmware_bytes + FRAME_BYTES
+        self._is_lossless = not (model.loss or model.outages or model.losses)
+        self._accepted_bytes = 0.0
+        self._busy_until = self._service.by(timeline.now_s)  # bytes that the service can have carried by then
+        self._left, self._come = _Passed(), _Passed()
+        self.sent_packets = self.dropped_packets = self.lost_packets = 0
 
     def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
         """Put one datagram on the link; ``deliver`` runs when its last fragment arrives, unless one is missing.
@@ -123,53 +106,110 @@ class SimulatedLink:
 
         Returns
         -------
-        Moment at which all of it has arrived or is lost; if others join its transmission, it is a little later (s).
+        Moment at which all of it has arrived or is lost (s).
         """
-        return self._bottleneck.put(wire_bytes, packets, deliver)
-
-    @property
-    def capacity_bytes_per_second(self) -> float:
-        """Rate at which the link carries bytes now, without the overhead of packets (bytes/s)."""
-        return self._service.rate_at(self._timeline.now_s)
+        now_s, packet_bytes = self._timeline.now_s, wire_bytes / packets
+        room = self._room_bytes - self._waiting_bytes()
+        accepted = packets if wire_bytes <= room else max(0, int(room // packet_bytes))
+        self.dropped_packets += packets - accepted
+        if not accepted:
+            return now_s
+        size = accepted * packet_bytes
+        begins = self._begins(accepted)
+        self._accepted_bytes += size
+        self.sent_packets += accepted
+        self._busy_until = ends = begins + size
+        arrival_s = self._service.when(ends) + self._model.delay_s
+        surviving = accepted if self._is_lossless else self._survivors(accepted, arrival_s)
+        self._left.add(begins, ends, size, accepted)
+        self._come.add(begins, ends, surviving * packet_bytes, surviving)
+        if len(self._come) > _MOST_UNCOUNTED:
+            self._received()
+        self.lost_packets += accepted - surviving
+        if surviving == packets:
+            self._timeline.at(arrival_s, deliver)
+        return arrival_s
 
     @property
     def backlog_bytes(self) -> float:
         """Bytes in the host's queue, above the firmware."""
-        return max(0.0, self._bottleneck.waiting_bytes() - self._firmware_bytes)
+        return max(0.0, self._waiting_bytes() - self._model.firmware_bytes)
 
     @property
     def queue_delay_s(self) -> float:
         """Time that a packet sent now would wait in the host and in the firmware (s)."""
-        return self._bottleneck.wait_s()
+        return self._service.when(self._busy_until) - self._timeline.now_s if self._waiting_bytes() > 0.0 else 0.0
 
     @property
     def sent_bytes(self) -> float:
         """Bytes that have left the near interface."""
-        return self._bottleneck.accepted_bytes - self.backlog_bytes
-
-    @property
-    def sent_packets(self) -> int:
-        """Packets that the near interface accepted."""
-        return self._bottleneck.accepted_packets
-
-    @property
-    def dropped_packets(self) -> int:
-        """Packets dropped because the queue was full."""
-        return self._bottleneck.dropped_packets
-
-    @property
-    def lost_packets(self) -> int:
-        """Packets that were sent but will not arrive."""
-        return self._bottleneck.lost_packets
+        return self._accepted_bytes - self.backlog_bytes
 
     def received_bytes(self) -> float:
-        """Return the bytes that have reached the far interface."""
-        return self._bottleneck.received()[0]
+        """Return the bytes that have reached the far interface, part of a datagram included."""
+        return self._received()[0]
 
     @property
     def received_packets(self) -> int:
         """Packets that have reached the far interface."""
-        return self._bottleneck.received()[1]
+        return self._received()[1]
+
+    def _begins(self, packets: int) -> float:
+        """Return what the service can have carried when the first byte of so many packets is sent (bytes)."""
+        served = self._service.by(self._timeline.now_s)
+        starts = max(served, self._busy_until)
+        if not self._model.packet_overhead_s:
+            return starts
+        transmissions = packets / self._model.aggregate_packets
+        if starts == served:
+            transmissions = math.ceil(transmissions)
+        start_s = max(self._timeline.now_s, self._service.when(starts))
+        if math.isinf(start_s):
+            return starts
+        return max(starts, self._service.by(start_s + transmissions * self._model.packet_overhead_s))
+
+    def _waiting_bytes(self) -> float:
+        """Return the bytes in the queue and in service; the overhead of their transmissions is none."""
+        return max(0.0, self._accepted_bytes - self._left.by(self._service.by(self._timeline.now_s))[0])
+
+    def _received(self) -> tuple[float, int]:
+        return self._come.by(self._service.by(self._timeline.now_s - self._model.delay_s))
+
+    def _survivors(self, packets: int, at_s: float) -> int:
+        """Return how many of the packets that are due at this moment arrive; what is never due is not lost."""
+        if math.isinf(at_s):
+            return packets
+        if self._model.is_out(at_s - self._origin_s):
+            return 0
+        loss = self._model.loss_ratio(at_s - self._origin_s)
+        return sum([self._random.random() >= loss for _ in range(packets)]) if loss else packets
+
+
+class _Passed:
+    """Counts what has passed a point of the link."""
+
+    def __init__(self) -> None:
+        # Of each datagram: what the service has carried when its first and its last byte leave, its bytes and packets.
+        self._under_way: deque[tuple[float, float, float, int]] = deque()
+        self._bytes, self._packets = 0.0, 0
+
+    def __len__(self) -> int:
+        return len(self._under_way)
+
+    def add(self, begins: float, ends: float, size: float, packets: int) -> None:
+        self._under_way.append((begins, ends, size, packets))
+
+    def by(self, served: float) -> tuple[float, int]:
+        """Return what has passed when the service has carried so many bytes; never less than before."""
+        under_way = self._under_way
+        while under_way and under_way[0][1] <= served:
+            _, _, size, packets = under_way.popleft()
+            self._bytes += size
+            self._packets += packets
+        if under_way and under_way[0][0] < served:
+            begins, ends, size, _ = under_way[0]
+            return self._bytes + size * (served - begins) / (ends - begins), self._packets
+        return self._bytes, self._packets
 
 
 class Loopback:
@@ -183,3 +223,40 @@ class Loopback:
         arrival_s = self._timeline.now_s + _ON_HOST_S
         self._timeline.at(arrival_s, deliver)
         return arrival_s
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ForeignFlow:
+    """A flow of full packets at a fixed rate: an upload from the robot, or a download of the peer.
+
+    Parameters
+    ----------
+    start_s, end_s : run time of the first packet, and of the end (s)
+    rate_bytes_per_second : wire bytes offered to the link (bytes/s)
+    """
+
+    start_s: float
+    end_s: float
+    rate_bytes_per_second: float
+
+    def after(self, origin_s: float) -> Self:
+        """Return the flow at times of the timeline, where run time begins at ``origin_s``."""
+        return replace(self, start_s=origin_s + self.start_s, end_s=origin_s + self.end_s)
+
+    def offered_bytes(self, t_s: float) -> float:
+        """Return the bytes offered by a moment."""
+        return self.rate_bytes_per_second * (min(max(t_s, self.start_s), self.end_s) - self.start_s)
+
+    def play(self, timeline: Timeline, link: SimulatedLink, *, origin_s: float) -> None:
+        """Plan the first packet; each packet plans the next."""
+        packets = 0
+
+        def send() -> None:
+            nonlocal packets
+            link.send(FRAME_BYTES, 1, lambda: None)
+            packets += 1
+            next_s = self.start_s + packets * FRAME_BYTES / self.rate_bytes_per_second
+            if next_s < self.end_s:
+                timeline.at(origin_s + next_s, send)
+
+        timeline.at(origin_s + self.start_s, send)

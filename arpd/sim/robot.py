@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.queue import PacedQueue
 from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
-from arpd.sim.arrivals import Arrivals
-from arpd.sim.result import TopicResult
+from arpd.sim.result import Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
 from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
@@ -21,10 +20,10 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.endpoint.lane import Lane
-    from arpd.model.endpoints import FlowState
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
+    from arpd.sim.result import TopicResult
     from arpd.sim.socket import Carrier
     from arpd.sim.timeline import Timeline
 
@@ -68,25 +67,6 @@ class SimTopic:
             depth=depth,
             baseline_depth=depth,
             remote_readers=int(self.direction is not Direction.LOCAL),
-        )
-
-    def result(self, flow: FlowState, arrivals: Arrivals, *, expected: int) -> TopicResult:
-        """Return the result of a run.
-
-        Parameters
-        ----------
-        flow : of its publisher
-        arrivals : at its reader
-        expected : samples that the application would have published if nothing had blocked it
-        """
-        return TopicResult(
-            topic=self.name,
-            source_rate_hz=self.rate_hz,
-            expected=expected,
-            offered=flow.offered,
-            withheld=flow.withheld,
-            sent=flow.published,
-            **asdict(arrivals.reception()),
         )
 
 
@@ -232,7 +212,10 @@ class SimulatedPublisher:
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
-        return self.topic.result(self._flow.state(), self.arrivals, expected=self._ticks)
+        topic = self.topic
+        return self.arrivals.result(
+            self._flow.state(), topic=topic.name, source_rate_hz=topic.rate_hz, expected=self._ticks
+        )
 
     def _write(self, sample: bytes) -> None:
         self._flow.write(sample)

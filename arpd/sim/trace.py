@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from arpd.model.errors import TraceError
-from arpd.sim.loss import LossStep, check_ascending
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,7 +49,6 @@ class LinkTrace:
     repeats: bool = False
 
     def __post_init__(self) -> None:
-        check_ascending(self.losses)
         last_s = max(self.rates.duration_s, *(step.start_s for step in self.losses), 0.0)
         if not self.duration_s >= last_s or (self.repeats and self.duration_s == last_s):
             raise ValueError(f"trace {self.name}: it ends at {self.duration_s:g} s, no later than its last step starts")
@@ -62,7 +60,7 @@ class LinkTrace:
             return self
         begins_s = [turn * self.duration_s for turn in range(turns)]
         rates = tuple(replace(step, start_s=at_s + step.start_s) for at_s in begins_s for step in self.rates.steps)
-        losses = tuple(replace(step, start_s=at_s + step.start_s) for at_s in begins_s for step in self.losses)
+        losses = tuple(LossStep(at_s + step.start_s, step.loss) for at_s in begins_s for step in self.losses)
         return replace(
             self, rates=RateSchedule(steps=rates), losses=losses, duration_s=turns * self.duration_s, repeats=False
         )

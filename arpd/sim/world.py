@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from arpd.estimate.receiver import Receiver, ReportSchedule
 from arpd.model.endpoints import Direction
@@ -16,7 +16,7 @@ from arpd.model.probing import PeerReport
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.nodes import SILENT_S
-from arpd.sim.foreign import PACKET_BYTES
+from arpd.sim.link import FRAME_BYTES
 from arpd.sim.timeline import Alarm
 
 if TYPE_CHECKING:
@@ -24,17 +24,19 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.model.endpoints import PublisherState
-    from arpd.model.plan import QosPlan, TopicPlan
+    from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
     from arpd.model.settings import GraphSettings
-    from arpd.sim.ends import SimulatedEnd
-    from arpd.sim.foreign import ForeignFlow
-    from arpd.sim.link import SimulatedLink
-    from arpd.sim.robot import SimTopic
+    from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
+    from arpd.sim.link import ForeignFlow, SimulatedLink
+    from arpd.sim.robot import SimulatedPublisher
     from arpd.sim.timeline import Timeline
 
+    Managed = SimulatedPublisher | SimulatedLinkTopic
+
 RELAY, PLANNER = "/arpd_relay", "/planner"
+_PEER, _HEARD_S = "base", 60.0
 _ON_HOST_S = 0.001
 _TELL_S = 1.0
 _SILENT_S = 5.0  # as in arpd.endpoint.node_publishers
@@ -43,23 +45,6 @@ _PEER_CLOCK_S = 3.217  # the base computer's clock is ahead by this, because not
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
 _REPORT_BYTES, _PRICE_BYTES, _SNAPSHOT_BYTES, _PLAN_BYTES = 230, 210, 500, 700  # on the wire
-
-
-class Managed(Protocol):
-    """A publisher that the daemon manages."""
-
-    @property
-    def topic(self) -> SimTopic:
-        """The topic."""
-
-    def retune(self, plan: TopicPlan) -> None:
-        """Take a plan."""
-
-    def set_price(self, price: Price | None) -> None:
-        """Take the price of the link."""
-
-    def state(self, *, generation: int) -> PublisherState:
-        """Return the state to announce."""
 
 
 @dataclass(slots=True)
@@ -127,6 +112,7 @@ class SimulatedWorld:
         self._has_peer = has_peer
         self._random = random
         self._reports: list[PeerReport] = []
+        self._reported_s = -math.inf  # when the peer was heard last
         self._results: Counter[str] = Counter()
         self._asked_generation, self._asked_at_s, self._again_s = -1, -math.inf, _AGAIN_S[0]
         self._probes = 0
@@ -173,6 +159,7 @@ class SimulatedWorld:
                 self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
             ),
             peers=None if self._has_peer else 0,
+            peer_ages_s={_PEER: now_s - self._reported_s} if now_s - self._reported_s < _HEARD_S else {},
             relay=self._relay,
         )
 
@@ -318,7 +305,7 @@ class SimulatedWorld:
         rx_bytes, rx_packets = self._received_by_peer()
         delays_s, trains = peer.receiver.take()
         report = PeerReport(
-            peer="base",
+            peer=_PEER,
             received_at_s=0.0,
             interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
             rx_bytes=rx_bytes - peer.rx_bytes,
@@ -337,10 +324,10 @@ class SimulatedWorld:
         """Return the bytes and packets that the peer's interface counts."""
         other = sum(flow.offered_bytes(self._timeline.now_s) for flow in self._into_peer)
         up = self._up
-        return int(up.received_bytes() + other), up.received_packets + int(other / PACKET_BYTES)
+        return int(up.received_bytes() + other), up.received_packets + int(other / FRAME_BYTES)
 
     def _on_report(self, report: PeerReport, sent_s: float) -> None:
-        now_s = self._timeline.now_s
+        now_s = self._reported_s = self._timeline.now_s
         self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
         self._on_report_arrived()
 

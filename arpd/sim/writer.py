@@ -12,7 +12,7 @@ from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
     from arpd.model.endpoints import WriterQos
-    from arpd.sim.arrivals import Arrivals
+    from arpd.sim.result import Arrivals
     from arpd.sim.socket import Carrier, Socket
     from arpd.sim.timeline import Timeline
 

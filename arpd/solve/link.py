@@ -71,7 +71,7 @@ class Link:
     """
 
     def __init__(self, rows: Rows, capacity: float, packet_overhead_s: float, share: float) -> None:
-        self.rows, self.capacity, self.packet_overhead_s = rows, capacity, packet_overhead_s
+        self.rows, self.capacity, self.packet_overhead_s, self.share = rows, capacity, packet_overhead_s, share
         self.costs_s = rows.packets * packet_overhead_s + rows.wire_bytes / (capacity or 1.0)
         self.floors_hz = rows.floors_hz
         self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(rows.wishes_hz, 2.0 / self.costs_s))

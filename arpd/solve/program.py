@@ -6,6 +6,7 @@ Design: docs/design.md, The program.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
     from arpd.model.settings import Settings
     from arpd.solve.level import Column
-    from arpd.solve.link import Division
+    from arpd.solve.link import Division, Find
 
 
 class Program:
@@ -90,36 +91,35 @@ class Program:
         share : part of the capacity to divide, 0..1; None = the headroom
         crossing : topics that cross the link, managed or not; only the uniform policy needs it
         """
-        started_s, capacity, memory_bytes = self._clock(), capacity_bytes_per_second, memory_budget_bytes
         overhead_s = self._settings.link.packet_overhead_s or 0.0 if packet_overhead_s is None else packet_overhead_s
         share = self._settings.link.headroom if share is None else share
-        if not (0.0 <= capacity < math.inf and 0.0 <= memory_bytes < math.inf and 0.0 <= share <= 1.0):
-            raise ValueError(
-                f"capacity {capacity!r} and memory {memory_bytes!r} must be ≥ 0, share {share!r} within 0..1"
-            )
-        if not topics:
-            return Allocation(capacity_bytes_per_second=capacity * share)
-        answered: set[Backend] = set()
+        started_s, answered = self._clock(), set[Backend]()
 
         def find(weights: Column, low: Column, high: Column, budget: float) -> float:
             level, backend = self._solver.level(weights, low, high, budget)
             answered.update([backend] if backend else ())
             return level
 
-        link = self._link(capacity, topics, overhead_s, share, crossing)
-        division = link.divide(memory_bytes, find)
-        rows = _published(link, division)
-        return Allocation(
-            topics=rows,
-            status=AllocationStatus.DEGRADED if division.given_up else AllocationStatus.OPTIMAL,
-            binding=_overall(rows),
-            capacity_bytes_per_second=capacity * share,
-            degradation="; ".join(division.given_up),
-            price=division.price,
-            uniform=division.uniform,
-            backend=answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM,
-            solve_s=self._clock() - started_s,
-        )
+        link = self._link(capacity_bytes_per_second, topics, overhead_s, share, crossing)
+        found = _divided(link, memory_budget_bytes, find)
+        backend = answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM
+        return replace(found, backend=backend, solve_s=self._clock() - started_s)
+
+    def follow(
+        self,
+        lasting: Allocation,
+        capacity_bytes_per_second: float,
+        topics: Sequence[Topic],
+        memory_budget_bytes: float,
+        *,
+        packet_overhead_s: float,
+        share: float,
+        crossing: int = 0,
+    ) -> Allocation:
+        """Divide the link of this moment by the closed form; `solve`, which explains the rest, gave what lasts."""
+        link = self._link(capacity_bytes_per_second, topics, packet_overhead_s, share, crossing)
+        found = _divided(link, memory_budget_bytes, water_level)
+        return replace(found, backend=lasting.backend, solve_s=lasting.solve_s)
 
     def price(
         self,
@@ -136,11 +136,31 @@ class Program:
         return self._link(capacity_bytes_per_second, topics, packet_overhead_s, share, crossing).price(water_level)
 
     def _link(self, capacity: float, topics: Sequence[Topic], overhead_s: float, share: float, crossing: int) -> Link:
+        if not (0.0 <= capacity < math.inf and 0.0 <= share <= 1.0):
+            raise ValueError(f"capacity {capacity!r} must be ≥ 0, and share {share!r} within 0..1")
         if topics is not self._rows.topics:
             self._rows = Rows(topics)
-        if self._settings.program.policy is Policy.UNIFORM:
+        if topics and self._settings.program.policy is Policy.UNIFORM:
             return AlikeOnLink(self._rows, capacity, overhead_s, share, crossing=crossing)
         return Link(self._rows, capacity, overhead_s, share)
+
+
+def _divided(link: Link, memory_bytes: float, find: Find) -> Allocation:
+    if not 0.0 <= memory_bytes < math.inf:
+        raise ValueError(f"memory {memory_bytes!r} must be ≥ 0")
+    if not link.rows.topics:
+        return Allocation(capacity_bytes_per_second=link.capacity * link.share)
+    division = link.divide(memory_bytes, find)
+    rows = _published(link, division)
+    return Allocation(
+        topics=rows,
+        status=AllocationStatus.DEGRADED if division.given_up else AllocationStatus.OPTIMAL,
+        binding=_overall(rows),
+        capacity_bytes_per_second=link.capacity * link.share,
+        degradation="; ".join(division.given_up),
+        price=division.price,
+        uniform=division.uniform,
+    )
 
 
 def _published(link: Link, division: Division) -> tuple[TopicAllocation, ...]:

@@ -21,12 +21,10 @@ from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.baselines import Oracle
 from arpd.sim.demo import demo_settings, demo_topics
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel
-from arpd.sim.loss import GilbertElliott
+from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.result import percentile
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 from arpd.sim.trace import read_trace
 from scripts.bench.links import MBIT, WALK
 from scripts.bench.report import Summary, figure, table
@@ -160,6 +158,14 @@ def _cellular(seed: int) -> RateSchedule:
     return _marks([*marks, (121.0, 12.0)])  # what waits at the end must leave
 
 
+def _bursts(duration_s: float) -> tuple[LossStep, ...]:
+    """Lose everything for 0.3 s every 3 s, both in the mean (Gilbert 1960, Elliott 1963)."""
+    random, t_s, found = Random("bursts"), 0.0, []
+    while (t_s := t_s + random.expovariate(1.0 / 3.0)) < duration_s:
+        found += [LossStep(t_s, 1.0), LossStep(t_s := t_s + random.expovariate(1.0 / 0.3), 0.0)]
+    return tuple(found)
+
+
 def _fall(before: float, after: float, **more: Any) -> Scenario:
     return Scenario(duration_s=28.0, schedule=_steps((0.0, before), (13.0, after)), change_s=13.0, **more)
 
@@ -190,7 +196,7 @@ SCENARIOS: dict[str, Scenario] = {
     "bursts": Scenario(
         duration_s=50.0,
         schedule=_steps((0.0, 20.0)),
-        model=LinkModel(queue_bytes=_QUEUE_BYTES, bursts=GilbertElliott(good_s=3.0, bad_s=0.3, bad_loss=1.0)),
+        model=LinkModel(queue_bytes=_QUEUE_BYTES, losses=_bursts(50.0)),
     ),
     "outages, lost": Scenario(
         duration_s=57.0,

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 from arpd.daemon.run import run_daemon
 from arpd.host.interface import read_counters
 from arpd.sim.baselines import Oracle, Truth
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.service import Service
+from arpd.sim.schedule import RateSchedule, RateStep, Service
 from scripts.bench.links import at
 from scripts.netns.simlink import INTERFACE
 

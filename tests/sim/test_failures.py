@@ -10,6 +10,7 @@ from arpd.daemon import scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import DefaultPreferences, OnLost, ProgramSettings, Settings
+from arpd.report.conditions import Condition
 from arpd.sim import world
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule
@@ -109,6 +110,13 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force():
     assert {tick.decision.allowed for tick in silent} == {1.0}
     assert played.plans(8.0, 28.0) == []
     assert settled(played)
+
+
+@pytest.mark.parametrize("has_peer", [True, False])
+def test_the_missing_of_a_peer_is_a_condition_where_none_reports(has_peer):
+    """`without_peer` holds where no peer reports, and nowhere else."""
+    played = play(duration_s=15.0, has_peer=has_peer)
+    assert (Condition.WITHOUT_PEER in played.daemon.record.since_s) is not has_peer
 
 
 @pytest.mark.parametrize(("others_hz", "is_over"), [(0.2, False), (1.0, True)])

@@ -9,8 +9,7 @@ from statistics import median
 import pytest
 
 from arpd.model.settings import TopicSettings
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel
+from arpd.sim.link import ForeignFlow, LinkModel
 from tests.sim.test_price import MBIT, QUEUE, ROBOT, SETTINGS, at, goodput, play, queues
 
 FALLS_S, LASTS_S = 13.0, 28.0

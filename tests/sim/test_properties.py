@@ -13,9 +13,8 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
-from arpd.sim.loss import GilbertElliott, LossStep
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 from tests.sim.watched import Tick, watch
 
 MBIT = 125_000.0
@@ -85,9 +84,11 @@ def anywhere(seed):
     steps = random_rates(random, PAST_S)
     model = random_model(random, PAST_S)
     if random.random() < 0.5:
-        bad_loss = random.choice([0.5, 1.0])
-        bursts = GilbertElliott(good_s=random.choice([0.3, 3.0]), bad_s=random.choice([0.05, 0.3]), bad_loss=bad_loss)
-        model = replace(model, bursts=bursts)
+        bad_loss, good_s, bad_s = random.choice([0.5, 1.0]), random.choice([0.3, 3.0]), random.choice([0.05, 0.3])
+        losses, t_s = [], 0.0
+        while (t_s := t_s + random.expovariate(1.0 / good_s)) < PAST_S:
+            losses += [LossStep(t_s, bad_loss), LossStep(t_s := t_s + random.expovariate(1.0 / bad_s), 0.0)]
+        model = replace(model, losses=tuple(losses))
     return watched(RateSchedule(steps=tuple(steps)), PAST_S, model, seed=seed)
 
 

@@ -12,8 +12,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
 from arpd.sim.demo import demo_settings, demo_topics
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel
+from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.schedule import RateSchedule
 
 MBIT = 125_000.0

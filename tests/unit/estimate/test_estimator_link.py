@@ -12,8 +12,7 @@ from arpd.model.link import CapacityKind, LinkState
 from arpd.model.relay import RelaySummary
 from arpd.model.settings import GraphSettings, LinkSettings
 from arpd.model.wire import wire_size
-from arpd.sim.foreign import ForeignFlow
-from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.link import ForeignFlow, LinkModel, SimulatedLink
 from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import SimulatedWorld

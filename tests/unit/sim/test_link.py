@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.loss import GilbertElliott, LossStep
-from arpd.sim.schedule import RateSchedule, RateStep
-from arpd.sim.service import Service
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep, Service
 from arpd.sim.timeline import Timeline
 from tests.examples import examples
 
@@ -88,7 +86,6 @@ models = st.builds(
     loss=st.sampled_from([0.0, 0.2]),
     outages=st.sampled_from([(), ((0.2, 0.5),)]),
     losses=st.sampled_from([(), (LossStep(start_s=0.3, loss=0.5), LossStep(start_s=0.6, loss=0.0))]),
-    bursts=st.sampled_from([None, GilbertElliott(good_s=0.1, bad_s=0.05)]),
     **MODEL,
 )
 sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)

@@ -8,8 +8,8 @@ from random import Random
 import pytest
 
 from arpd.model.endpoints import WriterQos
-from arpd.sim.arrivals import Arrivals
 from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.result import Arrivals
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import SOCKET_BYTES, Socket
 from arpd.sim.timeline import Timeline

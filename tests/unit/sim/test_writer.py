@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.endpoints import WriterQos
-from arpd.sim.arrivals import Arrivals
 from arpd.sim.link import LinkModel, SimulatedLink
+from arpd.sim.result import Arrivals
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Timeline
