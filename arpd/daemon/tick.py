@@ -250,7 +250,7 @@ class Daemon:
         price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare)
         if self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
-        for request in self._estimator.wanted_probes(now_s):
+        for request in self._estimator.wanted_probes(now_s, is_short=math.isfinite(price.share_per_weight)):
             self._world.probe(request)
 
     def _note(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:

@@ -65,8 +65,8 @@ class CapacityEstimator(Protocol):
     def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
         """Return whether an update now may say more than the last one, besides reports."""
 
-    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
-        """Return the probes to send now."""
+    def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
+        """Return the probes to send now; ``is_short`` while topics ask for more than the link is believed to carry."""
 
     def reconfigure(self, settings: LinkSettings) -> None:
         """Take new settings; measurements stay."""

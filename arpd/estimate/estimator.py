@@ -149,8 +149,13 @@ class Estimator:
         self._empty_looks += backlog_bytes == 0
         return False
 
-    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:
-        """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable."""
+    def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
+        """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable.
+
+        Parameters
+        ----------
+        is_short : True while topics ask for more than the link is believed to carry
+        """
         if self._settings.capacity_bytes_per_second is not None:
             return ()
         wanted = self._schedule.wanted(
@@ -165,6 +170,7 @@ class Estimator:
             ),
             needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
             copies=self._copies,
+            is_short=is_short,
             is_resting=self._is_resting,
             is_settled=self._trains.is_settled,
         )

@@ -1,4 +1,4 @@
-"""Schedule of the probes, within one per cent of the capacity, and their loss."""
+"""Schedule of the probes, within a small share of the capacity, and their loss."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ _QUIET_PINGS = 1.2  # periods of the pings; a peer that receives a ping in time 
 
 
 SHARE = 0.008  # part of the capacity for probes and the reports they cause
+SHORT_SHARE = 0.015  # the same while topics ask for more than the link is believed to carry
 PINGS_SHARE = 0.0035  # part of it for pings and their reports alone
 REPORT_BYTES = 230  # a report on the wire
 PING_S, PING_MOST_S = 0.09, 0.55  # least and most time between pings
@@ -30,6 +31,7 @@ SMALL_EVERY, PAIR_S = 10, 0.15
 # Least time between trains: before any measurement, in general, while the capacity is doubtful, and after a train that
 # contradicts it.
 FIRST_S, CALM_S, URGENT_S, CONFIRM_S = 0.25, 2.5, 0.5, 0.08
+SHORT_S, SHORT_TRAIN_S = 1.0, 0.02  # the same while more is asked, where a train takes no longer than the second
 RESTING_TRAIN_S = 60.0  # time between trains then
 TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
 SAVED_S = 5.0  # span of the budget that can be saved
@@ -65,6 +67,7 @@ class ProbeSchedule:
         surprise_bytes_per_second: float | None,
         needs_pair: bool,
         copies: int,
+        is_short: bool,
         is_resting: bool = False,
         is_settled: bool = True,
     ) -> Iterator[ProbeRequest]:
@@ -79,6 +82,7 @@ class ProbeSchedule:
         surprise_bytes_per_second : what the last train saw, if that contradicts the capacity
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
+        is_short : True while topics ask for more than the link is believed to carry
         is_resting : True while next to nothing crosses; nobody needs the capacity soon then
         is_settled : True when enough trains have shown it
         """
@@ -88,17 +92,19 @@ class ProbeSchedule:
         if is_resting:
             ping_s = max(ping_s, RESTING_PING_S)
         self.quiet_s = _QUIET_PINGS * ping_s
-        share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
-        budget = share * capacity_bytes_per_second
         is_surprised = surprise_bytes_per_second is not None
         # A train that confirms another one is long enough for the capacity that one saw.
         expected = max(capacity_bytes_per_second, surprise_bytes_per_second or 0.0)
         packets = math.ceil(TRAIN_S * expected / PACKET_BYTES)
         packets = max(TRAIN_LEAST_PACKETS, min(TRAIN_MOST_PACKETS, packets))
         cost = copies * packets * probe_wire_bytes(PACKET_BYTES)
+        is_short = is_short and cost <= SHORT_TRAIN_S * capacity_bytes_per_second
+        share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
+        budget = share * capacity_bytes_per_second
+        more = (SHORT_SHARE - SHARE) * capacity_bytes_per_second if is_short else 0.0
         # Savings of a better link stay: right after a fall they pay for the trains that see the link return.
         room = max(2.0 * cost, SAVED_S * budget, self._saved_bytes)
-        self._saved_bytes = min(self._saved_bytes + budget * elapsed_s, room)
+        self._saved_bytes = min(self._saved_bytes + (budget + more) * elapsed_s, room)
         if now_s >= self._ping_at_s:
             self._ping_at_s = now_s + (OUTAGE_PING_S if is_out else ping_s)
             yield self._request(1, OUTAGE_PING_BYTES if is_out else PING_BYTES)
@@ -113,6 +119,7 @@ class ProbeSchedule:
             is_measured=is_measured,
             is_urgent=is_urgent,
             is_surprised=is_surprised,
+            is_short=is_short,
             is_resting=is_resting and is_settled,
         ):
             self._train_at_s = now_s
@@ -132,7 +139,14 @@ class ProbeSchedule:
         self._saved_bytes = self._saved_bytes - cost if is_measured else max(0.0, self._saved_bytes - cost)
 
     def _pause_s(
-        self, cost: float, *, is_measured: bool, is_urgent: bool, is_surprised: bool, is_resting: bool
+        self,
+        cost: float,
+        *,
+        is_measured: bool,
+        is_urgent: bool,
+        is_surprised: bool,
+        is_short: bool,
+        is_resting: bool,
     ) -> float:
         """Return the least time between two trains (s)."""
         if not is_measured:
@@ -144,7 +158,9 @@ class ProbeSchedule:
             return URGENT_S
         if is_resting:
             return RESTING_TRAIN_S
-        return CALM_S if can_pay else TRAIN_MOST_S
+        if can_pay:
+            return SHORT_S if is_short else CALM_S
+        return TRAIN_MOST_S
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:
         self._probes += 1

@@ -87,7 +87,7 @@ class Oracle:
         """Look always."""
         return True
 
-    def wanted_probes(self, now_s: float) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
+    def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - the protocol's
         """Ask for none."""
         return ()
 

@@ -140,6 +140,11 @@ class Account:
                     100.0 * min(1.0, each["delivered"] / each["offered"]) for each in members.values()
                 ),
                 "p99_ms": percentile(latencies, 0.99),
+                "max_ms": max(latencies, default=None),
+                "gap_over_period_s": max(
+                    each["gap_s"] - 1.0 / min(topic.rate_hz for topic in self._sources[name].values())
+                    for name, each in members.items()
+                ),
                 "per_second": sum(each["per_second"] for each in members.values()),
             }
         return found

@@ -138,7 +138,7 @@ class KnownLink:
     def update(self, _observation):
         return replace(LINK, capacity_bytes_per_second=self.capacity, state=self.state)
 
-    def wanted_probes(self, _now_s):
+    def wanted_probes(self, _now_s, *, is_short):
         return ()
 
 

@@ -66,7 +66,7 @@ class Link:
             self.sent += 0.1 * (rate if sent is None else sent)
             fields["counters"] = replace(INTERFACE, tx_bytes=round(self.sent))
         self.estimator.update(observation(seen_s, **fields))
-        self.probes += [(seen_s, each) for each in self.estimator.wanted_probes(seen_s)]
+        self.probes += [(seen_s, each) for each in self.estimator.wanted_probes(seen_s, is_short=False)]
         self.now_s += 0.1
         # Probes that wait in a queue have not arrived yet; those lost in an outage never will.
         before, due_s = self.arrived, self.now_s - delay_s + 0.02

@@ -125,7 +125,7 @@ class Run:
             **self.sees,
         )
         self.course.append((run_s, self.estimator.update(observation)))
-        for request in self.estimator.wanted_probes(now_s):
+        for request in self.estimator.wanted_probes(now_s, is_short=False):
             for peer, world in zip(self.peers, self.worlds, strict=True):
                 if peer.is_in_graph(run_s):
                     world.probe(request)

@@ -20,6 +20,7 @@ CALM = {
     "surprise_bytes_per_second": None,
     "needs_pair": False,
     "copies": 1,
+    "is_short": False,
 }
 CAPACITIES = st.floats(0.2 * MBIT, 200 * MBIT)
 
@@ -98,6 +99,15 @@ def test_savings_are_bounded(capacity, urgent_s):
     sent = probing.run(urgent_s, is_urgent=True, surprise_bytes_per_second=1.5e6)
     largest = max(cost([each]) for each in sent)
     assert cost(sent) <= allowed(capacity) * (urgent_s + probes.SAVED_S) + 4 * largest
+
+
+@pytest.mark.parametrize("mbit", [4.0, 20.0, 200.0])
+def test_a_better_link_is_found_within_a_second_where_more_is_asked_of_it(mbit):
+    """While topics ask for more than the link is believed to carry, a train leaves each second."""
+    probing = Probing(mbit * MBIT).known()
+    sent = probing.run(60.0, is_short=True)
+    times = [at_s for at_s, request in sent if request.packets > 1 and request.packet_bytes == probes.PACKET_BYTES]
+    assert max(after - before for before, after in pairwise(times)) <= probes.SHORT_S + 0.5
 
 
 @pytest.mark.parametrize("mbit", [0.2, 1.0, 20.0, 200.0])
