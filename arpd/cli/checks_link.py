@@ -6,7 +6,7 @@ from collections import Counter
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from arpd.cli.checkup import badness, fine, unknown, wrong
+from arpd.cli.checkup import Health, fine, unknown, wrong
 from arpd.host import kernel, radio
 from arpd.model.quantities import format_duration, format_number
 from arpd.model.wire import MTU_BYTES, PACKET_BYTES
@@ -54,7 +54,7 @@ def clock(here: Here) -> Finding:
     if not (peers := here.status.peers):
         return unknown("no peer was heard in the last minute; run `arpd peer` on the base computer")
     farthest_first = sorted(peers, key=lambda peer: -abs(peer.clock.offset_s if peer.clock else 0.0))
-    return max(map(_clock_of, farthest_first), key=badness)
+    return max(map(_clock_of, farthest_first), key=lambda finding: list(Health).index(finding.health))
 
 
 def _clock_of(peer: Peer) -> Finding:

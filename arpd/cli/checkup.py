@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.cli.client import connect
 from arpd.cli.options import DEFAULT_URL, host_of, is_here
@@ -41,15 +40,10 @@ class Health(StrEnum):
     WRONG = "wrong"  # somebody should do something
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Result of one check.
+class Finding(NamedTuple):
+    """Result of one check, and the lines to type, or to do: the first one mends it now, others for good.
 
-    Parameters
-    ----------
-    text : the finding, or the reason why nothing is known
-    remedies : lines to type, or to do; the first one mends it now, others for good. Nothing that came from the network
-        stands in them: people copy them into a shell
+    Nothing that came from the network stands in a line: people copy them into a shell.
     """
 
     health: Health
@@ -57,24 +51,12 @@ class Finding:
     remedies: tuple[str, ...] = ()
 
 
-def fine(text: str) -> Finding:
-    """Find that nothing needs to be done."""
-    return Finding(Health.FINE, text)
+fine, unknown = partial(Finding, Health.FINE), partial(Finding, Health.UNKNOWN)  # with the reason why
 
 
 def wrong(text: str, *remedies: str) -> Finding:
     """Find that something should be done."""
     return Finding(Health.WRONG, text, remedies)
-
-
-def unknown(why: str) -> Finding:
-    """Find nothing, for a reason."""
-    return Finding(Health.UNKNOWN, why)
-
-
-def badness(finding: Finding) -> int:
-    """Return how bad a finding is, to find the worst of several."""
-    return list(Health).index(finding.health)
 
 
 class Here:

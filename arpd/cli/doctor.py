@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from arpd.cli import checks_host, checks_link
@@ -67,7 +66,7 @@ def _doctor(options: argparse.Namespace) -> int:
         findings = check_up(here)
     is_well = not any(each.health == "wrong" for each in findings.values())
     if options.json:
-        checks = [{"check": about, **asdict(each)} for about, each in findings.items()]
+        checks = [{"check": about, **each._asdict()} for about, each in findings.items()]
         end, interface = "base" if here.is_far else "robot", here.found_interface or None
         print(json.dumps({"ok": is_well, "end": end, "interface": interface, "checks": checks}, indent=2))
     else:

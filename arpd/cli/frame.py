@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from rich.console import Group
@@ -38,10 +39,12 @@ if TYPE_CHECKING:
     from arpd.web.api import History, Status, Topic
 
     Show = Callable[[float], str]
+    Worst = Callable[[Iterable[float]], float]
 
 _LABEL, _FIGURES, _LEGEND = 9, 44, 14
 _LEAST_SPARKLINE, _MOST_SPARKLINE = 8, 60
 _LEAST_EVENTS, _PRINTED_EVENTS = 3, 5
+_ROOMY = 12  # lines below the facts of a screen with empty lines between its parts
 _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
@@ -110,53 +113,51 @@ class Frame:
 
     def _body(self, status: Status, width: int, height: int) -> list[RenderableType]:
         """Return what stands below the findings; a screen has so many lines for it."""
-        topics, log, courses = sorted(status.topics, key=_rank), list(_log(status)), self._courses(status, width)
-        table: list[RenderableType] = [topic_table(topics)] if topics else []
-        above = [*courses, *_facts(status, width)]
-        room = height - 2 - len(above) - (len(topics) + 2 if topics else 0)
-        if not self.is_on_screen or room >= _LEAST_EVENTS:
-            last = room if self.is_on_screen else _PRINTED_EVENTS
-            sections: tuple[Sequence[RenderableType], ...] = (above, table, log[-last:])
-            return [part for section in sections if section for part in ("", *section)]
-        return _squeezed([*courses, *_facts(status, width, most=1)], topics, log, height)
+        topics, log = sorted(status.topics, key=_rank), list(_log(status))
+        above = [*self._courses(status, width), *_facts(status, width, most=1 if self.is_on_screen else 2)]
+        table: list[RenderableType] = []
+        events, shown, gap = _PRINTED_EVENTS, topics, [""]
+        if self.is_on_screen:
+            room = height - len(above)
+            gap = gap if room >= _ROOMY else []
+            room -= 3 * len(gap)
+            events = max(0, min(max(_LEAST_EVENTS, room - len(topics) - 1), room - bool(topics), len(log)))
+            room -= events
+            shown = topics if len(topics) < room else topics[: max(0, room - 2)]
+        if shown:
+            table.append(topic_table(shown))
+        if rest := topics[len(shown) :]:
+            slowed = sum(map(_is_slowed, rest))
+            note = f"… and {len(rest)} more topics" + (f", {slowed} of them slowed" if slowed else "")
+            table.append(Text(note, style="dim"))
+        sections = (above, table, log[max(0, len(log) - events) :])
+        return [part for section in sections if section for part in (*gap, *section)]
 
-    def _courses(self, status: Status, width: int) -> list[Text]:
-        """Return the values that the history has a course of, now and over the last ten minutes."""
-        link, past = status.link, self.history
+    def _courses(self, status: Status, width: int) -> Iterator[Text]:
+        """Yield the values that the history has a course of, now and over the last ten minutes."""
+        link, past = status.link, self.history.link if self.history else {}
         queue = [format_duration(link.queue_delay_s)]
         queue += [] if link.loss_ratio is None else [f"loss {format_share(link.loss_ratio)}"]
-        back_s = link.return_delay_s
-        queue += [] if back_s is None else [f"return delay {format_duration(back_s)}"]
+        queue += [] if link.return_delay_s is None else [f"return delay {format_duration(link.return_delay_s)}"]
         capacity = f"{format_rate(link.capacity_bytes_per_second)} ({link.kind}, {link.state})"
-        rates, delays, allowed = (
-            past.link.get(name, ()) if past else ()
-            for name in ("capacity_bytes_per_second", "queue_delay_s", "allowed_ratio")
-        )
-        courses: list[tuple[str, str, Sequence[float | None], Callable[[Iterable[float]], float], Show]] = [
-            ("link", capacity, rates, _mean, format_rate),
-            ("queue", ", ".join(queue), delays, max, format_duration),
-            (
-                "allowed",
-                f"{format_share(status.allowed_ratio)} above the minimum rates",
-                allowed,
-                min,
-                format_share,
-            ),
+        allowed = f"{format_share(status.allowed_ratio)} above the minimum rates"
+        courses: list[tuple[str, str, str, Worst, Show]] = [
+            ("link", capacity, "capacity_bytes_per_second", fmean, format_rate),
+            ("queue", ", ".join(queue), "queue_delay_s", max, format_duration),
+            ("allowed", allowed, "allowed_ratio", min, format_share),
         ]
-        lines = []
-        for label, now, samples, worst, show in courses:
+        for label, now, name, worst, show in courses:
             line = _labelled(f"{label:{_LABEL}}{now}")
-            known = [sample for sample in samples if sample is not None]
+            known = [sample for sample in past.get(name, ()) if sample is not None]
             columns = min(_MOST_SPARKLINE, width - _LABEL - _FIGURES - _LEGEND)
             if known and columns >= _LEAST_SPARKLINE and len(line) < _LABEL + _FIGURES:
                 top, extreme = (1.0, f"≥ {show(min(known))}") if worst is min else (max(known), f"≤ {show(max(known))}")
                 line.pad_right(_LABEL + _FIGURES - len(line))
-                line.append(sparkline(samples, columns, worst, top)).append(f" {extreme}", style="dim")
-            lines.append(line)
-        return lines
+                line.append(sparkline(past[name], columns, worst, top)).append(f" {extreme}", style="dim")
+            yield line
 
 
-def _facts(status: Status, width: int, *, most: int = 2) -> list[Text]:
+def _facts(status: Status, width: int, *, most: int) -> list[Text]:
     """Return everything but courses, topics and log, each fact in ``most`` lines."""
     plan = status.plan
     confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
@@ -316,32 +317,13 @@ def _bound_by(topic: Topic) -> str:
     return topic.allocation.binding.replace("_", " ") if topic.allocation else "-"
 
 
-def _squeezed(above: Sequence[Text], topics: Sequence[Topic], log: Sequence[Text], height: int) -> list[RenderableType]:
-    """Return the topics that fit between the other two, and how many do not."""
-    room = height - len(above)
-    events = min(max(_LEAST_EVENTS, room - len(topics) - 1), room - bool(topics), len(log))
-    log = log[len(log) - max(0, events) :]
-    room -= len(log)
-    shown = topics if len(topics) < room else topics[: max(0, room - 2)]
-    slowed = sum(map(_is_slowed, rest := topics[len(shown) :]))
-    note = f"… and {len(rest)} more topics" + (f", {slowed} of them slowed" if slowed else "")
-    return [*above, *([topic_table(shown)] if shown else []), *([Text(note, style="dim")] if rest else []), *log]
-
-
 def _labelled(line: str) -> Text:
     shown = Text(line)
     shown.stylize("bold", 0, _LABEL)
     return shown
 
 
-def _mean(values: Iterable[float]) -> float:
-    there = list(values)
-    return sum(there) / len(there)
-
-
-def sparkline(
-    samples: Sequence[float | None], columns: int, worst: Callable[[Iterable[float]], float], top: float
-) -> str:
+def sparkline(samples: Sequence[float | None], columns: int, worst: Worst, top: float) -> str:
     """Draw the worst of the samples that share a column, from 0 to ``top``; a blank where there is none."""
     columns = min(columns, len(samples))
     drawn = []

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 WITHOUT_END = 10_000  # columns, or lines, of a pipe
 _GAP = 2
-# A first column up to _WHOLE_NAME wide is worth more than a column of rank 5; the others keep it and the last readable.
-_WHOLE_NAME, _LEAST_NAME, _LEAST_LAST = 40, 20, 8
+_LEAST_NAME, _LEAST_LAST = 24, 8  # of the first and the last column, while another one can be dropped instead
 
 
 def width_of_output() -> int:
@@ -65,8 +64,8 @@ def wall_clock(unix_time_s: float | None, pattern: str = "%H:%M:%S") -> str:
 class FittedTable:
     """Rows in columns, for rich to print.
 
-    Where they are too wide it drops columns of rank 5 and more, then cuts the front of the first column (the end tells
-    topics apart), then drops further columns, the highest rank first, then cuts the end of the last column.
+    Where they are too wide it cuts the front of the first column (the end tells topics apart) and the end of the last
+    one, to 24 and 8 characters, then drops columns, the highest rank first, then cuts on.
 
     Parameters
     ----------
@@ -105,16 +104,12 @@ class FittedTable:
     def _kept(self, widths: Sequence[int], width: int) -> list[int]:
         kept = list(range(len(widths)))
 
-        def rank(column: int) -> int:
-            return self.ranks[column] if self.ranks else 0
-
-        def excess(longest_name: int) -> int:
-            least = min(widths[0], longest_name) + min(widths[-1], _LEAST_LAST)
+        def excess() -> int:
+            least = min(widths[0], _LEAST_NAME) + min(widths[-1], _LEAST_LAST)
             return least + sum(widths[column] for column in kept[1:-1]) + _GAP * (len(kept) - 1) - width
 
-        for longest_name, lowest_rank in ((_WHOLE_NAME, 5), (_LEAST_NAME, 1)):
-            while excess(longest_name) > 0 and any(rank(column) >= lowest_rank for column in kept):
-                kept.remove(max(kept, key=rank))
+        while self.ranks and excess() > 0 and any(self.ranks[column] for column in kept):
+            kept.remove(max(kept, key=self.ranks.__getitem__))
         return kept
 
 

@@ -7,32 +7,39 @@ import os
 import platform
 import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.cli.options import Command, add_config, within
-from arpd.cli.output import show
+from arpd.cli.output import FittedTable, show, wrapped
 from arpd.cli.progress import progress
-from arpd.cli.topics_table import link_table, summary
 from arpd.host import interface as host
 from arpd.host.config.first_file import LinkChoice, first_file
 from arpd.host.config.load import load_settings, local_domain
 from arpd.model.errors import ArpdError, ConfigError, UsageError
 from arpd.model.kinds import ADDRESS
 from arpd.model.names import is_hidden, is_internal
+from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.model.settings import AUTO, Settings
 from arpd.report.first_guess import first_guess
+from arpd.report.wording import count
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Sequence
 
-    from arpd.model.link_topics import TopicList
+    from arpd.model.link_topics import LinkTopic, TopicList
     from arpd.model.settings import RelaySettings
-    from arpd.report.first_guess import FirstGuess
 
 _SECONDS = 5.0
 _MOST_SECONDS = 600.0
 _LINK_DOMAINS = (77, 78)  # the second where the nodes live in the first
+_LONGEST_NAME = 250
+_MOST_NAMED = 2
+_WORDS = frozenset({"TYPE", "LINK", "FROM, TO"})  # columns that are flush left
+_LEAST_MBIT = 0.01
+_VARIES = 1.1
+_LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."
 
 
 _TEXT = """\
@@ -77,12 +84,13 @@ def _list_topics(options: argparse.Namespace) -> int:
     if not listed.topics:
         raise ArpdError(_nothing_found(listed))
     if options.json:
-        print(json.dumps(_document(listed), indent=2))
+        topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
+        print(json.dumps(asdict(listed) | {"topics": topics}, indent=2))
     elif options.suggest:
         _suggest(listed, _link(options, settings))
     else:
-        show(link_table(listed.topics))
-        print("\n".join(["", *summary(listed)]))
+        show(_table(listed.topics))
+        print("\n".join(["", *_summary(listed)]))
     if listed.cannot_tell_hosts and not options.json:
         _remark(listed.cannot_tell_hosts)
     return 0
@@ -149,12 +157,6 @@ no topics in ROS domain {listed.domain_id}. Check, in this order:
   RMW_IMPLEMENTATION is the same                  here: {value("RMW_IMPLEMENTATION")}"""
 
 
-def _document(listed: TopicList) -> dict[str, Any]:
-    """Return everything that was found, as JSON has it."""
-    topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
-    return asdict(listed) | {"topics": topics}
-
-
 def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
     """Return where the link is: as given, as configured, or as this host's interfaces tell."""
     relay, here = settings.relay, local_domain()
@@ -179,26 +181,113 @@ def _suggest(listed: TopicList, link: LinkChoice) -> None:
     guess = first_guess(listed.topics)
     origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
     sys.stdout.write(first_file(guess, link, origin=origin))
-    for words in _remarks(listed, guess, link):
-        _remark(words)
-
-
-def _remarks(listed: TopicList, guess: FirstGuess, link: LinkChoice) -> list[str]:
-    remarks = []
     if link.robot_is_guessed_from:
-        remarks.append(f"relay.robot is the address of {link.robot_is_guessed_from}; --robot gives another")
+        _remark(f"relay.robot is the address of {link.robot_is_guessed_from}; --robot gives another")
     elif link.robot is None and link.base is None:
-        remarks.append("no address of this robot was found: fill in relay.robot, or give --robot")
-    if unmeasured := [topic for topic in listed.topics if topic.traffic is None]:
-        remarks.append(f"not measured: {', '.join(topic.name for topic in unmeasured)}; `arpd topics` says why")
+        _remark("no address of this robot was found: fill in relay.robot, or give --robot")
+    if unmeasured := [topic.name for topic in listed.topics if topic.traffic is None]:
+        _remark(f"not measured: {', '.join(unmeasured)}; `arpd topics` says why")
     if guess.left_out:
-        remarks.append(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
-    remarks.append("weights and minimum rates are guesses: read them, then `arpd check FILE`")
-    return remarks
+        _remark(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
+    _remark("weights and minimum rates are guesses: read them, then `arpd check FILE`")
 
 
 def _remark(words: str) -> None:
     print(f"arpd: {words}", file=sys.stderr)
+
+
+def _table(topics: Sequence[LinkTopic]) -> FittedTable:
+    """Return a heading and a line per topic."""
+    titles = ["TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "LINK", "READERS", "FROM, TO"]
+    rows, ranks = [titles, *(_cells(topic) for topic in sorted(topics, key=_order))], [0, 3, 0, 1, 5, 0, 0, 4, 0]
+    if not any(map(_varies, topics)):
+        at = titles.index("LARGEST")
+        rows, ranks = [[*row[:at], *row[at + 1 :]] for row in rows], [*ranks[:at], *ranks[at + 1 :]]
+    return FittedTable(rows=rows, ranks=ranks, words=_WORDS)
+
+
+def _varies(topic: LinkTopic) -> bool:
+    """Return whether the size of its samples varies so much that the mean does not tell it."""
+    traffic = topic.traffic
+    return traffic is not None and (traffic.largest_bytes or 0) > _VARIES * (traffic.mean_bytes or 0.0)
+
+
+def _summary(listed: TopicList) -> list[str]:
+    """Say what the topics publish together, and what to do next."""
+    measured = [topic for topic in listed.topics if topic.traffic is not None]
+    crossing = [topic for topic in measured if topic.is_crossing]
+    unknown = len(listed.topics) - len(measured)
+    crosses = f"{len(crossing)} of them cross the link now: {_publish(crossing)}" if crossing else "none crosses now"
+    lines = [
+        _LEGEND,
+        f"{count(len(measured), 'topic')} measured for {listed.seconds:g} s: {_publish(measured)}; {crosses}"
+        + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
+    ]
+    if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
+        lines.append("Not one message arrived: do the nodes publish now?")
+    if not any(topic.is_from_robot for topic in listed.topics):
+        lines += wrapped(
+            "No topic seems to be published on this host. A node that is older than an address of this host counts as "
+            "one beyond: restart it, or set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST here.",
+            100,
+            indent=0,
+        )
+    return [*lines, "`arpd topics --suggest > arpd.yaml` writes a first configuration from this"]
+
+
+def _order(topic: LinkTopic) -> tuple[bool, float, str]:
+    """Put the heaviest first, and topics of unknown traffic last."""
+    traffic = topic.traffic
+    return traffic is None, -traffic.bytes_per_second if traffic else 0.0, topic.name
+
+
+def _cells(topic: LinkTopic) -> list[str]:
+    traffic = topic.traffic
+    types = ", ".join(name.replace("/msg/", "/") for name in topic.types)
+    return [
+        printable(topic.name, longest=_LONGEST_NAME),
+        printable(types, longest=_LONGEST_NAME),
+        format_number(traffic.rate_hz if traffic else None),
+        format_payload(traffic.mean_bytes if traffic else None),
+        format_payload(traffic.largest_bytes if traffic else None),
+        _mbit(traffic.bytes_per_second * 8e-6) if traffic else "-",
+        _way(topic),
+        f"{len(topic.readers)}+{len(topic.far_readers)}",
+        "; ".join(_from(topic)),
+    ]
+
+
+def _mbit(mbit_per_second: float) -> str:
+    return f"<{_LEAST_MBIT}" if 0 < mbit_per_second < _LEAST_MBIT else format_number(mbit_per_second)
+
+
+def _way(topic: LinkTopic) -> str:
+    """Say in which direction a topic crosses the link, or could."""
+    is_out, is_in = bool(topic.writers), bool(topic.far_writers) or not topic.writers
+    way = "both" if is_out and is_in else "out" if is_out else "in"
+    return f"{way}, now" if topic.is_crossing else way
+
+
+def _from(topic: LinkTopic) -> Iterable[str]:
+    """Say who publishes a topic and who reads it on the other side, and what else is to know."""
+    writers = _named((*topic.writers, *topic.far_writers)) or "nobody now"
+    readers = topic.far_readers if topic.writers else topic.readers
+    under = f" as {printable(topic.relayed_as, longest=_LONGEST_NAME)}" if topic.relayed_as else ""
+    yield f"{writers} to {_named(readers)}{under}" if readers else f"{writers}{under}"
+    if topic.is_latched:
+        yield "latched"
+    if topic.unmeasured and topic.writers:
+        yield f"not measured: {printable(topic.unmeasured, longest=_LONGEST_NAME)}"
+
+
+def _named(nodes: Sequence[str]) -> str:
+    shown = [printable(node.removeprefix("/"), longest=60) or "an unnamed node" for node in nodes[:_MOST_NAMED]]
+    more = [f"{len(nodes) - _MOST_NAMED} more"] if len(nodes) > _MOST_NAMED else []
+    return ", ".join((*shown, *more))
+
+
+def _publish(topics: Iterable[LinkTopic]) -> str:
+    return format_rate(sum(topic.traffic.bytes_per_second for topic in topics if topic.traffic))
 
 
 TOPICS = Command(_TEXT, _add_options, _list_topics)

@@ -7,7 +7,7 @@ import socket
 import struct
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from arpd.model.quantities import printable
 from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, UDP_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
 _PORT, _PORTS_OF_DOMAIN, _MOST_DOMAIN = 7400, 250, 232
@@ -71,58 +71,45 @@ class HeardDiscovery:
     bytes_per_second: float
 
 
-@dataclass(slots=True)
-class _Participant:
-    address: str
-    properties: dict[str, str] = field(default_factory=dict)
-    transports: set[str] = field(default_factory=set)
-
-
-class DiscoveryEar:
-    """Collects the announcements that cross one interface.
+def heard(
+    packets: Iterable[tuple[bytes, str]], *, own: Collection[str], domain_id: int, duration_s: float
+) -> HeardDiscovery:
+    """Return what the datagrams of a discovery port tell, each with the address that it came from.
 
     Parameters
     ----------
-    own_addresses : addresses of this computer
+    own : addresses of this computer
+    duration_s : time in which they came (s)
     """
-
-    def __init__(self, own_addresses: frozenset[str]) -> None:
-        self._own = own_addresses
-        self._participants: dict[bytes, _Participant] = {}
-        self._bytes = 0
-
-    def take(self, packet: bytes, sender: str) -> None:
-        """Take one datagram of the discovery port, from an address."""
-        self._bytes += len(packet) + _HEADERS_BYTES
+    told: dict[bytes, tuple[str, dict[str, str], set[str]]] = {}
+    size_bytes = 0
+    for packet, sender in packets:
+        size_bytes += len(packet) + _HEADERS_BYTES
         participant = participant_in(packet)
-        if participant is None or len(self._participants) >= _MOST_PARTICIPANTS:
-            return
-        known = self._participants.setdefault(participant, _Participant(sender))
-        properties, transports = announced(packet)
-        known.properties.update(properties)
-        known.transports.update(transports)
+        if participant is not None and len(told) < _MOST_PARTICIPANTS:
+            _, properties, transports = told.setdefault(participant, (sender, {}, set()))
+            more, kinds = announced(packet)
+            properties.update(more)
+            transports.update(kinds)
+    announcers = [_announcer(*one, own) for one in told.values()]
+    return HeardDiscovery(
+        domain_id=domain_id,
+        announcers=tuple(sorted(announcers, key=lambda one: (not one.is_here, one.host, one.process))),
+        bytes_per_second=size_bytes / duration_s,
+    )
 
-    def heard(self, *, domain_id: int, elapsed_s: float) -> HeardDiscovery:
-        """Return everything that was heard in a time (s)."""
-        announcers = [self._announcer(one) for one in self._participants.values()]
-        return HeardDiscovery(
-            domain_id=domain_id,
-            announcers=tuple(sorted(announcers, key=lambda one: (not one.is_here, one.host, one.process))),
-            bytes_per_second=self._bytes / elapsed_s,
-        )
 
-    def _announcer(self, one: _Participant) -> Announcer:
-        is_here = one.address in self._own
-        host = one.properties.get(_HOST, "").rpartition(":")[0] or one.address
-        number = one.properties.get(_PROCESS, "")
-        command = _command(number) if is_here and number.isdecimal() else ()
-        return Announcer(
-            host=host,
-            process=command_name(command) or f"process {number or 'unknown'}",
-            is_here=is_here,
-            is_arpds=is_arpd(command),
-            transports=frozenset(one.transports),
-        )
+def _announcer(address: str, properties: dict[str, str], transports: set[str], own: Collection[str]) -> Announcer:
+    is_here = address in own
+    number = properties.get(_PROCESS, "")
+    command = _command(number) if is_here and number.isdecimal() else ()
+    return Announcer(
+        host=properties.get(_HOST, "").rpartition(":")[0] or address,
+        process=command_name(command) or f"process {number or 'unknown'}",
+        is_here=is_here,
+        is_arpds=is_arpd(command),
+        transports=frozenset(transports),
+    )
 
 
 def _command(number: str) -> tuple[str, ...]:
@@ -175,12 +162,10 @@ def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:
 
 
 def _parameters(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
-    """Yield kind, byte order and value of every parameter (OMG DDSI-RTPS 2.3, 9.4.2.11)."""
+    """Yield kind, byte order and value of every parameter (OMG DDSI-RTPS 2.3, 9.4 and 9.4.2.11)."""
     for kind, order, body in _submessages(packet):
-        if kind != _DATA:
-            continue
         offset = _TO_PARAMETERS
-        while offset + 4 <= len(body):
+        while kind == _DATA and offset + 4 <= len(body):
             parameter, length = struct.unpack_from(f"{order}HH", body, offset)
             if parameter == _SENTINEL:
                 break
@@ -189,16 +174,14 @@ def _parameters(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
 
 
 def _submessages(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
-    """Yield kind, byte order and body of every submessage (OMG DDSI-RTPS 2.3, 9.4)."""
+    """Yield kind, byte order and body of every submessage; one without a length is the last."""
     offset = _FIRST_SUBMESSAGE
     while offset + 4 <= len(packet):
-        kind, flags = packet[offset], packet[offset + 1]
-        order = "<" if flags & _LITTLE_ENDIAN else ">"
+        order = "<" if packet[offset + 1] & _LITTLE_ENDIAN else ">"
         (length,) = struct.unpack_from(f"{order}H", packet, offset + 2)
-        yield kind, order, packet[offset + 4 : offset + 4 + length if length else len(packet)]
-        if not length:  # it is the last one
-            return
-        offset += 4 + length
+        end = offset + 4 + length if length else len(packet)
+        yield packet[offset], order, packet[offset + 4 : end]
+        offset = end
 
 
 def _pairs(data: bytes, order: str) -> Iterator[tuple[str, str]]:
@@ -214,9 +197,7 @@ def _pairs(data: bytes, order: str) -> Iterator[tuple[str, str]]:
         yield name, printable(value, longest=_MOST_NAME)
 
 
-def listen(
-    interface: str, domain_id: int, *, duration_s: float, clock: Callable[[], float] = time.monotonic
-) -> HeardDiscovery:
+def listen(interface: str, domain_id: int, *, duration_s: float) -> HeardDiscovery:
     """Listen for a time (s) to what crosses an interface, also from this computer.
 
     Raises
@@ -229,24 +210,25 @@ def listen(
         raise NotKnownError(f"there is no interface {interface}")
     if not 0 <= domain_id <= _MOST_DOMAIN:
         raise NotKnownError(f"ROS has no domain {domain_id}")
-    every = ipv4_addresses()
-    ear = DiscoveryEar(frozenset[str]().union(*every.values()))
+    own = frozenset[str]().union(*ipv4_addresses().values())
     try:
-        with discovery_socket(domain_id) as heard:
-            heard.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
-            heard.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-            join_discovery(heard, index)
-            began_s = clock()
-            while (left_s := began_s + duration_s - clock()) > 0:
-                if not select.select([heard], [], [], left_s)[0]:
-                    continue
-                packet, extra, _flags, sender = heard.recvmsg(65536, socket.CMSG_SPACE(_PACKET_INFO.size))
-                arrived = [_PACKET_INFO.unpack(data)[0] for level, kind, data in extra if kind == _IP_PKTINFO]
-                if index in arrived:
-                    ear.take(packet, sender[0])
+        with discovery_socket(domain_id) as ear:
+            join_discovery(ear, index)
+            return heard(_packets(ear, index, duration_s), own=own, domain_id=domain_id, duration_s=duration_s)
     except OSError as error:
         raise NotKnownError(f"cannot listen on {interface} ({error.strerror or error})") from None
-    return ear.heard(domain_id=domain_id, elapsed_s=duration_s)
+
+
+def _packets(ear: socket.socket, index: int, duration_s: float) -> Iterator[tuple[bytes, str]]:
+    """Yield what arrives on one interface, with its sender's address."""
+    ear.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
+    ear.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+    began_s = time.monotonic()
+    while (left_s := began_s + duration_s - time.monotonic()) > 0:
+        if select.select([ear], [], [], left_s)[0]:
+            packet, extra, _flags, sender = ear.recvmsg(65536, socket.CMSG_SPACE(_PACKET_INFO.size))
+            if index in [_PACKET_INFO.unpack(data)[0] for level, kind, data in extra if kind == _IP_PKTINFO]:
+                yield packet, sender[0]
 
 
 def discovery_socket(domain_id: int) -> socket.socket:

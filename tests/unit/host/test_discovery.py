@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.host.discovery import (
-    DiscoveryEar,
     announced,
     command_name,
+    heard,
     is_arpd,
 )
 
@@ -79,17 +79,17 @@ def test_participants_are_counted_once_and_named(monkeypatch):
     """Own ones by their commands, others by what they tell of their hosts, or by their addresses."""
     commands = {4711: SimpleNamespace(cmdline=lambda: ["/bin/talker", "--ros-args"])}
     monkeypatch.setattr("psutil.Process", commands.__getitem__)
-    ear = DiscoveryEar(frozenset({"10.0.0.1"}))
-    ear.take(announcement(TOLD), "10.0.0.1")
-    ear.take(announcement(TOLD), "10.0.0.1")
-    ear.take(announcement(TOLD | {"fastdds.physical_data.host": "laptop:9"}, guid=b"\x02" * 12), "10.0.0.2")
-    ear.take(announcement({}, guid=b"\x03" * 12), "10.0.0.3")
-    ear.take(b"no RTPS at all", "10.0.0.4")
-    heard = ear.heard(domain_id=7, elapsed_s=2.0)
-    assert [(one.host, one.process, one.is_here) for one in heard.announcers] == [
+    packets = [
+        (announcement(TOLD), "10.0.0.1"),
+        (announcement(TOLD), "10.0.0.1"),
+        (announcement(TOLD | {"fastdds.physical_data.host": "laptop:9"}, guid=b"\x02" * 12), "10.0.0.2"),
+        (announcement({}, guid=b"\x03" * 12), "10.0.0.3"),
+        (b"no RTPS at all", "10.0.0.4"),
+    ]
+    found = heard(packets, own={"10.0.0.1"}, domain_id=7, duration_s=2.0)
+    assert [(one.host, one.process, one.is_here) for one in found.announcers] == [
         ("vm", "talker", True),
         ("10.0.0.3", "process unknown", False),
         ("laptop", "process 4711", False),
     ]
-    packets = (2 * announcement(TOLD), announcement(TOLD) + b"XXXX", announcement({}), b"no RTPS at all")
-    assert heard.bytes_per_second == (sum(map(len, packets)) + 5 * 42) / 2.0
+    assert found.bytes_per_second == sum(len(packet) + 42 for packet, _ in packets) / 2.0
