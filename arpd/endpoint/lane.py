@@ -165,6 +165,11 @@ class Lane:
         """Size of the message whose turn is next."""
         return len(self._next[1][0].message)
 
+    @property
+    def left_bytes(self) -> int:
+        """Size of what is left of the message under way, or of the next one."""
+        return self.next_bytes if self.current is None else len(self.current.message) - self.current.offset
+
     def is_unbound(self, now_s: float) -> bool:
         """Return whether it waits for no share of the link, because it has waited for a plan in vain."""
         return now_s >= self._first_s + self._patience_s and (self.plan is None or self.plan.wire_bytes <= 0.0)

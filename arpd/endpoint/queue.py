@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 _SLACK_S = 0.01  # that a late thread may catch up
 _FADE = 2.0  # a link that carries so much more than it did was in one; less is doubt
 LEAST_SHARE, MOST_SHARE = 0.05, 0.97  # of the link
+# Where two pictures of equal weight take turns of a chunk both are late; one after the other, only one is.
+_UNBROKEN_S = 2.0  # of the link, that the rest of a message may keep others waiting
+_AHEAD = 1.25  # more than headers add: a message under way stays before one that would end at the same time
 _MOST_SMALL_DEBT_S = 0.05  # of link time: small messages have rates of their own, and must not starve large ones
 SOON_S = 0.0005  # to wake a thread for less costs more than it saves
 
@@ -40,8 +43,9 @@ class Ready(NamedTuple):
 class PacedQueue:
     """Decides which topic's message leaves next; each crosses whole, and nobody tells what has arrived.
 
-    Samples of at most ten packets come first, each topic within its allowed rate. Then comes start-time fair queueing
-    by weight (Goyal, Vin and Cheng, SIGCOMM 1996), topics below their floor before the others. No topic exceeds its
+    Samples of at most ten packets come first, each topic within its allowed rate. Then comes fair queueing by weight:
+    the message first that would end first (Demers, Keshav and Shenker, SIGCOMM 1989), in the virtual time of start-time
+    fair queueing (Goyal, Vin and Cheng, SIGCOMM 1996), topics below their floor before the others. No topic exceeds its
     rate at the price, and a large sample waits until the one before has crossed the link. A topic that has no plan yet
     has what is spare, as a TCP sender begins with a small window (RFC 5681 §3.1): a robot that starts its cameras on a
     weak link would fill every queue.
@@ -165,7 +169,12 @@ class PacedQueue:
         ready = [lane for lane in self._active if lane.claimant is None and self._turn_s(lane, now_s) <= now_s]
         if not ready:
             return None
-        return min(ready, key=lambda lane: (not lane.is_behind(now_s), lane.start)), False
+        return min(ready, key=lambda lane: (not lane.is_behind(now_s), self._finish(lane))), False
+
+    def _finish(self, lane: Lane) -> float:
+        """Return the virtual time at which the message of a lane ends, or so far of the rest that others may wait."""
+        capacity = 0.0 if self._price is None else self._price.capacity_bytes_per_second
+        return lane.start + min(_AHEAD * lane.left_bytes, _UNBROKEN_S * capacity) / lane.weight
 
     def _turn_s(self, lane: Lane, now_s: float) -> float:
         """Return when a message may leave that waits for a share of the link (s)."""

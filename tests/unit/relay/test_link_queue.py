@@ -5,7 +5,7 @@ import math
 from collections import Counter, defaultdict
 from dataclasses import replace
 from functools import partial
-from itertools import count
+from itertools import count, pairwise
 
 import pytest
 
@@ -44,6 +44,7 @@ class Link:
         self.flight = self.queue.flight
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
+        self.arrived_s = defaultdict(list)
 
     def lane(self, name, plan=None, price=None, **options):
         self.lanes[name] = Lane(partial(self.write, name, Assembly()), **options)
@@ -100,6 +101,7 @@ class Link:
         self.received.note(chunk.session, chunk.number, chunk.departed_us, len(sample), self.now_s)
         if (message := assembly.add(chunk)) is not None:
             self.arrived[name].append(message)
+            self.arrived_s[name].append(self.now_s)
 
 
 def test_small_messages_leave_before_a_large_one_under_way():
@@ -153,6 +155,29 @@ def test_large_topics_share_the_link_by_weight(price):
         link.publish(name, 50.0)
     used_s = link.run(4.0)
     assert used_s["two"] / used_s["one"] == pytest.approx(2.0, rel=0.05)
+
+
+def test_of_two_pictures_one_crosses_after_the_other():
+    """Two large messages of equal weight do not take turns, by which both would be late."""
+    link = Link()
+    for name in "ab":
+        link.lane(name, ROW, price_of(0.5))
+        link.offer(name, bytes(5 * LARGE))
+    link.run(1.0)
+    (first_s,), (second_s,) = link.arrived_s.values()
+    assert second_s - link.now_s + 1.0 > 1.8 * (first_s - link.now_s + 1.0)
+
+
+def test_a_huge_message_keeps_others_waiting_for_two_seconds_at_most():
+    """A map of six seconds of the link lets pictures of another topic cross meanwhile."""
+    link = Link()
+    for name in ("map", "picture"):
+        link.lane(name, ROW, price_of(0.5))
+    link.offer("map", bytes(int(6 * CAPACITY)))
+    link.publish("picture", 50.0)
+    link.run(20.0)
+    assert link.arrived["map"]
+    assert max(after - before for before, after in pairwise(link.arrived_s["picture"])) < 2.6
 
 
 @pytest.mark.parametrize(("share", "price"), [(0.2, price_of(0.1)), (0.8, price_of(0.4)), (0.5, price_of(0.1, 0.3))])
