@@ -9,6 +9,7 @@ import os
 import ssl
 import zlib
 from contextlib import suppress
+from functools import partial
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException, HTTPSConnection, InvalidURL
 from queue import Empty, SimpleQueue
@@ -27,6 +28,7 @@ from arpd.web.json_text import read
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
     from http.client import HTTPResponse
     from pathlib import Path
 
@@ -64,12 +66,10 @@ class Daemon:
         try:
             parts = urlsplit(url)
             self._path, port = parts.path.rstrip("/"), parts.port
+            self._open: Callable[[], HTTPConnection] = partial(HTTPConnection, host, port or 80, timeout=_DEADLINE_S)
             if scheme == "https":
-                self._connection: HTTPConnection = HTTPSConnection(
-                    host, port or 443, timeout=_DEADLINE_S, context=_tls(cacert)
-                )
-            else:
-                self._connection = HTTPConnection(host, port or 80, timeout=_DEADLINE_S)
+                self._open = partial(HTTPSConnection, host, port or 443, timeout=_DEADLINE_S, context=_tls(cacert))
+            self._connection = self._open()
         except (ValueError, InvalidURL) as error:
             raise _no_address(url, error) from None
 
@@ -164,23 +164,25 @@ class Daemon:
             connection.request("GET", self._path + path, headers=self._headers)
             answer = connection.getresponse()
         except ConnectionError:
-            if not is_kept:
+            if not is_kept or connection is not self._connection:
                 raise
             connection.close()  # the daemon has closed an idle connection
             return self._ask(path)
-        body = answer.read(_MOST_BYTES + 1)
-        if len(body) > _MOST_BYTES:
-            raise ConnectionResetError("its answer is too long")
+        body = answer.read(_MOST_BYTES)
+        if answer.length or len(body) == _MOST_BYTES:
+            raise ConnectionResetError("its answer broke off, or is too long")
         if answer.getheader("Content-Encoding") == "gzip":
             with suppress(zlib.error):  # then it is no document either
                 body = zlib.decompressobj(_GZIP).decompress(body, _MOST_BYTES)
         return answer, body
 
     def _hang_up(self) -> None:
-        if (stream := self._connection.sock) is not None:
+        """Begin anew; a thread that still waits has the connection of before to itself, and its end."""
+        before, self._connection = self._connection, self._open()
+        if (stream := before.sock) is not None:
             with suppress(OSError):
                 stream.shutdown(SHUT_RDWR)
-        self._connection.close()
+        before.close()
 
 
 def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:

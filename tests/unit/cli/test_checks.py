@@ -74,13 +74,6 @@ def test_each_fault_of_a_radio_has_its_remedy(monkeypatch, about, told, remedy):
     assert {each.health for name, each in judged.items() if name != about} == {Health.FINE}
 
 
-def test_no_country_is_guessed_and_no_file_overwritten(monkeypatch):
-    """A line that is copied as it is must not set a law of another country."""
-    lines = radio(monkeypatch, region="00")["region"].remedies
-    assert all("YOUR_COUNTRY" in line for line in lines)
-    assert "/etc/modprobe.d/arpd-" in lines[1]
-
-
 # -- packets
 
 

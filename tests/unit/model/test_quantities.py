@@ -27,36 +27,25 @@ FINITE = st.floats(min_value=0, max_value=1e15)
 
 
 @pytest.mark.parametrize(
-    ("text", "bytes_per_second"),
+    ("parse", "text", "value"),
     [
-        ("8bit", 1.0),
-        ("5mbit", 625_000.0),
-        ("500 KBit", 62_500.0),
-        ("5.00 Mbit/s", 625_000.0),
-        ("125kB/s", 125_000.0),
-        ("1MiB/s", 2.0**20),
+        (parse_rate, "8bit", 1.0),
+        (parse_rate, "500 KBit", 62_500.0),
+        (parse_rate, "5.00 Mbit/s", 625_000.0),
+        (parse_rate, "125kB/s", 125_000.0),
+        (parse_rate, "1MiB/s", 2.0**20),
+        (parse_size, "64MiB", 64 * 2**20),
+        (parse_size, "64MB", 64e6),
+        (parse_size, "500KB", 5e5),
+        (parse_duration, "1.1ms", 0.0011),
+        (parse_duration, "5µs", 5e-6),
+        (parse_duration, "5μs", 5e-6),
+        (parse_duration, "2min", 120.0),
     ],
 )
-def test_a_rate_is_read_in_the_units_of_tc_and_in_bytes(text, bytes_per_second):
-    """Bit units are decimal and any case; byte units say so with a slash."""
-    assert parse_rate(text) == bytes_per_second
-
-
-@pytest.mark.parametrize(
-    ("text", "size_bytes"), [("64MiB", 64 * 2**20), ("64MB", 64e6), ("500kB", 5e5), ("500KB", 5e5), ("7B", 7)]
-)
-def test_a_size_is_decimal_or_binary_as_written(text, size_bytes):
-    """MB is not MiB."""
-    assert parse_size(text) == size_bytes
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("500ms", 0.5), ("1.1ms", 0.0011), ("5us", 5e-6), ("5µs", 5e-6), ("5μs", 5e-6), ("2min", 120.0), ("1h", 3600.0)],
-)
-def test_a_duration_is_the_nearest_float(text, seconds):
-    """Nothing is lost between the decimal text and the float."""
-    assert parse_duration(text) == seconds
+def test_a_quantity_is_the_nearest_float_in_base_units(parse, text, value):
+    """Bit units are decimal and any case, bytes decimal or binary as written; nothing is lost before the float."""
+    assert parse(text) == value
 
 
 @pytest.mark.parametrize(
