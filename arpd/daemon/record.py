@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 
 from arpd.report.decision_log import DecisionLog
 from arpd.report.history import History
-from arpd.report.situation import since_when
+from arpd.report.situation import find
 from arpd.report.snapshot import Totals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from arpd.daemon.reload import Configuration
     from arpd.daemon.world import World
     from arpd.govern.governor import Governor
-    from arpd.report.conditions import Condition
+    from arpd.report.conditions import Finding
     from arpd.report.events import Event
     from arpd.report.snapshot import Snapshot
     from arpd.solve.program import Program
@@ -39,7 +39,7 @@ class Record:
     Attributes
     ----------
     snapshot : the daemon after its last finished tick, None before the first
-    totals, events, since_s : as of the last tick that planned
+    totals, events, found : as of the last tick that planned
     counted : number of such ticks
     history : the last ten minutes
     """
@@ -48,7 +48,7 @@ class Record:
         self.snapshot: Snapshot | None = None
         self.totals = Totals()
         self.events: tuple[Event, ...] = ()
-        self.since_s: Mapping[Condition, tuple[str, float]] = {}
+        self.found: tuple[Finding, ...] = ()
         self.counted = 0
         self.history = History()
         self._tell = tell
@@ -96,16 +96,14 @@ class Record:
             reports=self.totals.reports + self._reports,
             reloads_by_result=MappingProxyType(dict(configuration.reloads_by_result)),
             changed_keys_by_effect=MappingProxyType(dict(configuration.changed_keys_by_effect)),
-            durations=self.totals.durations.with_ticks(
-                ticks_s,
-                late_s=late_s,
-                solve_s=picture.allocation.solve_s if picture.allocation.topics else None,
+            durations=self.totals.durations.including(
+                ticks_s, late_s, [picture.allocation.solve_s] if picture.allocation.topics else []
             ),
         )
         self._reports = 0
         picture = replace(picture, totals=self.totals)
-        self.since_s = since_when(picture)
-        picture = replace(picture, since_s=self.since_s)
+        self.found = find(picture)
+        picture = replace(picture, found=self.found)
         try:
             for event in self._decision_log.follow(picture):
                 self._tell(event)

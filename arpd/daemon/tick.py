@@ -276,7 +276,7 @@ class Daemon:
                 config_loaded_at_s=configuration.loaded_at_s,
                 keys_awaiting_restart=configuration.awaiting_restart,
                 events=self.record.events,
-                since_s=self.record.since_s,
+                found=self.record.found,
             )
         )
 

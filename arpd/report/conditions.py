@@ -6,6 +6,8 @@ words, weights and waiting times from here; systemd/arpd.catalog and docs/operat
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
@@ -136,6 +138,33 @@ class Condition(StrEnum):
     def phrase(self) -> str:
         """The headline inside a sentence."""
         return self.headline[0].lower() + self.headline[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A condition that holds, and the reason.
+
+    Parameters
+    ----------
+    why : what follows the headline, without a full stop
+    about : what it is about; it begins anew with another
+    since_s : since when it has held, by the monotonic clock (s)
+    """
+
+    condition: Condition
+    why: str
+    about: str = ""
+    since_s: float = -math.inf
+
+    @property
+    def text(self) -> str:
+        """The whole sentence, headline first."""
+        return f"{self.condition.headline}: {self.why}."
+
+    @property
+    def phrase(self) -> str:
+        """The same, for a line that goes on."""
+        return f"{self.condition.phrase}: {self.why}"
 
 
 class Happening(StrEnum):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.model.quantities import format_duration
-from arpd.report.conditions import MESSAGE_IDS, Condition, Happening, Severity
-from arpd.report.events import Entry, Event
+from arpd.report.conditions import MESSAGE_IDS, Condition, Finding, Happening, Severity
+from arpd.report.events import Event
 from arpd.report.log_plan import PlanLog
 from arpd.report.log_rates import RatesLog
 from arpd.report.log_swaps import SwapLog
-from arpd.report.situation import HIDDEN_WHILE_CUT, found_in, held_s, is_cut, lasting
+from arpd.report.situation import HIDDEN_WHILE_CUT, is_cut, lasting
 from arpd.report.waiting import is_reported
 from arpd.report.wording import count, one_line
 
@@ -51,19 +52,19 @@ class DecisionLog:
 
     def follow(self, snapshot: Snapshot) -> tuple[Event, ...]:
         """Take in the next snapshot and return what happened since the last one."""
-        entries = [_started(snapshot)] if not self._number else []
+        found = [_started(snapshot)] if not self._number else []
         for log in self._logs:
-            entries += log.follow(snapshot)
+            found += log.follow(snapshot)
         now_s = snapshot.finished_at_s
-        passed = [entry for entry in entries if self._limits.setdefault(entry.kind, _Limit()).passes(now_s)]
+        passed = [event for event in found if self._limits.setdefault(event.kind, _Limit()).passes(now_s)]
         passed += self._counts_of_the_rest(snapshot)
-        events = tuple(self._event(entry, snapshot) for entry in passed)
+        events = tuple(self._numbered(event, snapshot) for event in passed)
         if events:
             self._events.extend(events)
             self._kept, self._counted = tuple(self._events), MappingProxyType(dict(self._counts))
         return events
 
-    def _counts_of_the_rest(self, snapshot: Snapshot) -> Iterator[Entry]:
+    def _counts_of_the_rest(self, snapshot: Snapshot) -> Iterator[Event]:
         for kind, limit in self._limits.items():
             if not (number := limit.omitted_until(snapshot.finished_at_s)):
                 continue
@@ -71,21 +72,18 @@ class DecisionLog:
             if isinstance(kind, Condition):
                 holds = any(finding.condition is kind for finding in lasting(snapshot))
                 text += f"; now: {kind.phrase if holds else kind.ended}"
-            yield Entry(kind, Severity.WARNING, text, details={"omitted": str(number)})
+            yield Event(kind, Severity.WARNING, text, details={"omitted": str(number)})
 
-    def _event(self, entry: Entry, snapshot: Snapshot) -> Event:
+    def _numbered(self, event: Event, snapshot: Snapshot) -> Event:
         self._number += 1
-        self._counts[entry.kind] += 1
-        return Event(
+        self._counts[event.kind] += 1
+        return replace(
+            event,
             number=self._number,
             at_s=snapshot.finished_at_s,
             unix_time_s=snapshot.unix_time_s,
-            kind=entry.kind,
-            severity=entry.severity,
-            text=one_line(entry.text),
-            topic=entry.topic,
-            node=entry.node,
-            details=MappingProxyType({name: one_line(text, _MOST_DETAIL) for name, text in entry.details.items()}),
+            text=one_line(event.text),
+            details=MappingProxyType({name: one_line(text, _MOST_DETAIL) for name, text in event.details.items()}),
         )
 
 
@@ -93,32 +91,31 @@ class ConditionLog:
     """Begin and end of each condition: it begins once it has held for its time, and ends when it is gone."""
 
     def __init__(self) -> None:
-        self._began: dict[Condition, tuple[str, float]] = {}  # what it is about, and when it began (s)
+        self._begun: dict[Condition, Finding] = {}
 
-    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
-        now_s, found = snapshot.finished_at_s, {finding.condition for finding in found_in(snapshot)}
-        hidden = HIDDEN_WHILE_CUT if is_cut(snapshot) else set()
-        for condition in [*self._began]:
-            if condition not in found and condition not in hidden:
-                _, began_s = self._began.pop(condition)
-                if condition is not Condition.POSTPONED:  # which the next plan ends
-                    yield _end(condition, now_s - began_s, snapshot)
+        known = {finding.condition for finding in snapshot.found} | (HIDDEN_WHILE_CUT if is_cut(snapshot) else set())
+        for condition in [each for each in self._begun if each not in known]:
+            begun = self._begun.pop(condition)
+            if condition is not Condition.POSTPONED:  # which the next plan ends
+                yield _end(condition, snapshot.finished_at_s - begun.since_s, snapshot)
         for finding in lasting(snapshot):
-            condition, (about, began_s) = finding.condition, self._began.get(finding.condition, ("", now_s))
-            if condition in self._began and about == finding.about:
+            condition = finding.condition
+            before = self._begun.get(condition, finding)
+            if condition in self._begun and before.about == finding.about:
                 continue
-            self._began[condition] = finding.about, min(began_s, now_s - held_s(finding, snapshot))
-            yield Entry(condition, condition.severity, finding.phrase, details={"state": "began"})
+            self._begun[condition] = replace(finding, since_s=min(before.since_s, finding.since_s))
+            yield Event(condition, condition.severity, finding.phrase, details={"state": "began"})
 
 
-def _end(condition: Condition, lasted_s: float, snapshot: Snapshot) -> Entry:
+def _end(condition: Condition, lasted_s: float, snapshot: Snapshot) -> Event:
     ended = condition.ended
     if condition is Condition.OUTAGE and not is_reported(snapshot):
         # Nothing was measured: the sentence must not claim that the link is well.
         ended = "no outage any longer, although no peer reports: other hosts answer, or nobody is left to wait for"
     text = f"{ended}, after {format_duration(lasted_s)}"
-    return Entry(condition, Severity.INFO, text, details={"state": "ended", "seconds": f"{lasted_s:.3f}"})
+    return Event(condition, Severity.INFO, text, details={"state": "ended", "seconds": f"{lasted_s:.3f}"})
 
 
 class _Limit:
@@ -152,7 +149,7 @@ class _Limit:
         return len(passed) == passed.maxlen and now_s - passed[0] < _MINUTE_S
 
 
-def _started(snapshot: Snapshot) -> Entry:
+def _started(snapshot: Snapshot) -> Event:
     text = f"arpd {snapshot.version} manages {snapshot.interface}"
     details = {"version": snapshot.version, "interface": snapshot.interface, "config": snapshot.config_path}
-    return Entry(Happening.STARTED, Severity.INFO, text, details=details)
+    return Event(Happening.STARTED, Severity.INFO, text, details=details)

@@ -20,7 +20,7 @@ _RECENT_S = 60.0
 _MOST_EVENTS = 10
 _MOST_TOPICS = 10
 _MOST_PEERS = 5
-_NAMES = ("arpd: link", "arpd: plan", "arpd: configuration", "arpd: events")
+_PARTS = ("link", "plan", "configuration", "events")
 
 
 class Level(IntEnum):
@@ -60,94 +60,87 @@ def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
     now_s : monotonic clock (s)
     """
     if snapshot is None:
-        return tuple(Status(name=name, level=Level.STALE, message="starting") for name in _NAMES)
+        return tuple(Status(name=f"arpd: {part}", level=Level.STALE, message="starting") for part in _PARTS)
     situation = judge(snapshot, now_s=now_s)
-    carries = f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}"
-    runs = f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}"
-    loaded = f"in force since {_time(snapshot.config_loaded_at_s)}"
-    statuses = (
-        _judged("link", situation, carries, _link_values(snapshot)),
-        _judged("plan", situation, runs, _plan_values(snapshot, situation)),
-        _judged("configuration", situation, loaded, _configuration_values(snapshot)),
-        _events(snapshot, now_s=now_s),
-    )
     stale = next((each.text for each in situation.faults if each.condition is Condition.STALE), "")
-    if not stale:
-        return statuses
-    return tuple(Status(name=each.name, level=Level.STALE, message=stale, values=each.values) for each in statuses)
+    values = (
+        _of_link(snapshot),
+        _of_plan(snapshot, situation),
+        _of_configuration(snapshot),
+        {
+            f"{each.number}: {_time(each.unix_time_s)} {each.kind}": each.text
+            for each in reversed(snapshot.events[-_MOST_EVENTS:])
+        },
+    )
+    judged = (_level(part, snapshot, situation, now_s=now_s) for part in _PARTS)
+    return tuple(
+        Status(
+            name=f"arpd: {part}",
+            level=Level.STALE if stale else level,
+            message=stale or message,
+            values=tuple(facts.items()),
+        )
+        for part, (level, message), facts in zip(_PARTS, judged, values, strict=True)
+    )
 
 
-def _judged(part: str, situation: Situation, otherwise: str, values: tuple[tuple[str, str], ...]) -> Status:
-    """Return a status with the most important finding of its part, or another message without any."""
-    finding = next((each for each in situation.findings if each.condition.part == part), None)
-    if finding is None:
-        return Status(name=f"arpd: {part}", level=Level.OK, message=otherwise, values=values)
-    level = _LEVEL_OF[finding.condition.severity]
-    return Status(name=f"arpd: {part}", level=level, message=finding.text, values=values)
+def _level(part: str, snapshot: Snapshot, situation: Situation, *, now_s: float) -> tuple[Level, str]:
+    """Return level and message of a part: those of its most important finding, or else a fact."""
+    if part == "events":  # the worst one within a minute sets the level
+        recent = (_LEVEL_OF[each.severity] for each in snapshot.events if now_s - each.at_s < _RECENT_S)
+        return max(recent, default=Level.OK), snapshot.events[-1].text if snapshot.events else "nothing yet"
+    if found := next((each for each in situation.findings if each.condition.part == part), None):
+        return _LEVEL_OF[found.condition.severity], found.text
+    return Level.OK, {
+        "link": f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}",
+        "plan": f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}",
+        "configuration": f"in force since {_time(snapshot.config_loaded_at_s)}",
+    }[part]
 
 
-def _link_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
+def _of_link(snapshot: Snapshot) -> dict[str, str]:
     link, peers = snapshot.link, [*snapshot.observation.peer_ages_s.items()][:_MOST_PEERS]
-    return (
-        ("interface", snapshot.interface),
-        ("capacity", format_rate(link.capacity_bytes_per_second)),
-        ("known from", f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind)),
-        ("known for", format_duration(link.age_s)),
-        ("left for topics", format_rate(link.available_bytes_per_second)),
-        ("budget of topics", format_rate(snapshot.allocation.capacity_bytes_per_second)),
-        ("cross traffic", format_rate(link.cross_traffic_bytes_per_second)),
-        ("delivered", format_rate(link.delivery_rate_bytes_per_second)),
-        ("queue delay", format_duration(link.queue_delay_s)),
-        ("loss", "unknown" if link.loss_ratio is None else format_share(link.loss_ratio)),
-        ("return delay", "unknown" if link.return_delay_s is None else format_duration(link.return_delay_s)),
-        (
-            "peers",
-            ", ".join(f"{peer} ({format_duration(age_s)} ago)" for peer, age_s in peers) or "none",
-        ),
-    )
+    return {
+        "interface": snapshot.interface,
+        "capacity": format_rate(link.capacity_bytes_per_second),
+        "known from": f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind),
+        "known for": format_duration(link.age_s),
+        "left for topics": format_rate(link.available_bytes_per_second),
+        "budget of topics": format_rate(snapshot.allocation.capacity_bytes_per_second),
+        "cross traffic": format_rate(link.cross_traffic_bytes_per_second),
+        "delivered": format_rate(link.delivery_rate_bytes_per_second),
+        "queue delay": format_duration(link.queue_delay_s),
+        "loss": "unknown" if link.loss_ratio is None else format_share(link.loss_ratio),
+        "return delay": "unknown" if link.return_delay_s is None else format_duration(link.return_delay_s),
+        "peers": ", ".join(f"{peer} ({format_duration(age_s)} ago)" for peer, age_s in peers) or "none",
+    }
 
 
-def _plan_values(snapshot: Snapshot, situation: Situation) -> tuple[tuple[str, str], ...]:
-    decision = snapshot.decision
-    slowed = [
-        (topic, f"{format_number(rate_hz)} of {format_number(source_hz)} Hz")
-        for _, topic, rate_hz, source_hz in situation.slowed
-    ]
-    more = len(slowed) - _MOST_TOPICS
-    return (
-        ("plan", str(decision.plan.generation)),
-        ("made for", format_rate(decision.plan.level_bytes_per_second)),
-        ("bound by", str(snapshot.allocation.binding)),
-        ("allowed above the minimum rates", format_share(decision.allowed)),
-        ("publishers confirmed", f"{snapshot.confirmed} of {snapshot.managed}"),
-        ("waits for", ", ".join(decision.refusals) or "nothing"),
-        *slowed[:_MOST_TOPICS],
-        *([("further topics slowed", str(more))] if more > 0 else []),
-    )
+def _of_plan(snapshot: Snapshot, situation: Situation) -> dict[str, str]:
+    decision, slowed = snapshot.decision, situation.slowed
+    return {
+        "plan": str(decision.plan.generation),
+        "made for": format_rate(decision.plan.level_bytes_per_second),
+        "bound by": str(snapshot.allocation.binding),
+        "allowed above the minimum rates": format_share(decision.allowed),
+        "publishers confirmed": f"{snapshot.confirmed} of {snapshot.managed}",
+        "waits for": ", ".join(decision.refusals) or "nothing",
+        **{
+            each.topic: f"{format_number(each.rate_hz)} of {format_number(each.source_hz)} Hz"
+            for each in slowed[:_MOST_TOPICS]
+        },
+        "further topics slowed": str(max(0, len(slowed) - _MOST_TOPICS)),
+    }
 
 
-def _configuration_values(snapshot: Snapshot) -> tuple[tuple[str, str], ...]:
-    return (
-        ("file", snapshot.config_path),
-        ("read at", _time(snapshot.config_loaded_at_s)),
-        ("refused", snapshot.config_error or "no"),
-        ("after a restart", ", ".join(snapshot.keys_awaiting_restart) or "nothing"),
-        ("version", snapshot.version),
-    )
-
-
-def _events(snapshot: Snapshot, *, now_s: float) -> Status:
-    """Return the last events; the worst one within a minute sets the level."""
-    events = snapshot.events
-    recent = (event for event in events if now_s - event.at_s < _RECENT_S)
-    return Status(
-        name="arpd: events",
-        level=max((_LEVEL_OF[event.severity] for event in recent), default=Level.OK),
-        message=events[-1].text if events else "nothing has happened yet",
-        values=tuple(
-            (f"{_time(event.unix_time_s)} {event.kind}", event.text) for event in reversed(events[-_MOST_EVENTS:])
-        ),
-    )
+def _of_configuration(snapshot: Snapshot) -> dict[str, str]:
+    return {
+        "file": snapshot.config_path,
+        "read at": _time(snapshot.config_loaded_at_s),
+        "refused": snapshot.config_error or "no",
+        "after a restart": ", ".join(snapshot.keys_awaiting_restart) or "nothing",
+        "version": snapshot.version,
+    }
 
 
 def _time(unix_time_s: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -12,37 +12,26 @@ if TYPE_CHECKING:
     from arpd.report.conditions import Condition, Happening, Severity
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Event:
     """One line of the decision log.
 
     Parameters
     ----------
-    number : counts up from 1 since the daemon started
-    at_s, unix_time_s : monotonic and wall clock when it happened (s)
     kind, severity : what it is about, and its weight
     text : a plain sentence without a full stop: "the link slows 1 topic: /camera/image 30 → 2.1 Hz"
     topic, node : the topic and the node it is about, empty when there are several
     details : further facts by lower-case name, for programs
+    number : counts up from 1 since the daemon started; 0 until it is in the log
+    at_s, unix_time_s : monotonic and wall clock when it happened (s)
     """
 
-    number: int
-    at_s: float
-    unix_time_s: float
     kind: Condition | Happening
     severity: Severity
     text: str
     topic: str = ""
     node: str = ""
     details: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-
-
-class Entry(NamedTuple):
-    """An event before it has its number and its time."""
-
-    kind: Condition | Happening
-    severity: Severity
-    text: str
-    topic: str = ""
-    node: str = ""
-    details: Mapping[str, str] = {}
+    number: int = 0
+    at_s: float = 0.0
+    unix_time_s: float = 0.0

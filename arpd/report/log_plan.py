@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.quantities import format_duration, format_period, format_rate
 from arpd.report.conditions import Happening, Severity
-from arpd.report.events import Entry
+from arpd.report.events import Event
 from arpd.report.wording import Change, changes, count, joined, listed
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class PlanLog:
         self._made_s = 0.0
         self._is_awaited = False
 
-    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
         plan, before = snapshot.decision.plan, self._plan
         if plan is not before:
@@ -41,7 +41,7 @@ class PlanLog:
         if self._is_awaited and _is_in_force(snapshot):
             self._is_awaited = False
             took_s = snapshot.finished_at_s - self._made_s
-            yield Entry(
+            yield Event(
                 Happening.CONFIRMED,
                 Severity.INFO,
                 f"every publisher runs plan {plan.generation}"
@@ -59,10 +59,10 @@ def _is_in_force(snapshot: Snapshot) -> bool:
     return 0 < snapshot.managed <= snapshot.confirmed
 
 
-def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Entry:
+def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Event:
     plan, cause = snapshot.decision.plan, snapshot.decision.reason
     rows = before.topics if before is not None else {}
-    depths, deadlines = _depth_changes(snapshot, rows), _deadline_changes(snapshot, rows)
+    depths, deadlines = _changes(snapshot, rows)
     depth_words, deadline_words = changes(depths, " samples"), changes(deadlines, show=format_period)
     changed = {change.name for change in (*depths, *deadlines)}
     details = {
@@ -78,7 +78,7 @@ def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimat
     if what and (unchanged := len(plan.topics.keys() - changed)):
         what.append(f"{count(unchanged, 'topic')} unchanged")
     less = sum(change.after - change.before for change in depths) < 0
-    return Entry(
+    return Event(
         Happening.PLAN,
         Severity.WARNING if cause == "down" or (cause == "memory" and less) else Severity.INFO,
         f"{_why(snapshot, before, link_then)}: {'; '.join(what) or 'no depth or deadline changes'}",
@@ -139,29 +139,17 @@ def _is_cross_traffic(link: LinkEstimate, then: LinkEstimate) -> bool:
     return left * (left - 2 * capacity) > 0
 
 
-def _deadline_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
-    planned = snapshot.decision.plan.topics
-    found: dict[str, Change] = {}
+def _changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> tuple[list[Change], list[Change]]:
+    """Return the depths and the deadlines that a new plan changes, one change for each topic."""
+    depths: dict[str, Change] = {}
+    deadlines: dict[str, Change] = {}
     for publisher in snapshot.observation.publishers:
-        if (row := planned.get(publisher.topic)) is None:
+        name, size = publisher.topic, publisher.payload_bytes
+        if (row := snapshot.decision.plan.topics.get(name)) is None:
             continue
-        old = before.get(publisher.topic)
-        was_ns = old.deadline_ns if old is not None else publisher.deadline_ns
-        if was_ns != row.deadline_ns:
-            weight = publisher.payload_bytes * publisher.copies
-            found[publisher.topic] = Change(publisher.topic, was_ns, row.deadline_ns, weight)
-    return list(found.values())
-
-
-def _depth_changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> list[Change]:
-    planned = snapshot.decision.plan.topics
-    found: dict[str, Change] = {}
-    for publisher in snapshot.observation.publishers:
-        if (row := planned.get(publisher.topic)) is None or publisher.keeps_all:
-            continue
-        old = before.get(publisher.topic)
-        was = old.depth if old is not None else publisher.depth
-        if was != row.depth:
-            weight = abs(row.depth - was) * publisher.payload_bytes
-            found[publisher.topic] = Change(publisher.topic, was, row.depth, weight)
-    return list(found.values())
+        was = before.get(name, publisher)
+        if was.depth != row.depth and not publisher.keeps_all:
+            depths[name] = Change(name, was.depth, row.depth, abs(row.depth - was.depth) * size)
+        if was.deadline_ns != row.deadline_ns:
+            deadlines[name] = Change(name, was.deadline_ns, row.deadline_ns, size * publisher.copies)
+    return list(depths.values()), list(deadlines.values())

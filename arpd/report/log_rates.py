@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.link import LinkState
 from arpd.report.conditions import Condition, Happening
-from arpd.report.events import Entry
+from arpd.report.events import Event
 from arpd.report.situation import slowed_topics
 from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import Change, changes, count
@@ -33,7 +33,7 @@ class RatesLog:
         self._due_s = -math.inf
         self._logged: Mapping[str, Slowed] = {}  # the last event
 
-    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
         if snapshot.observation.active_daemon:
             self._seen.clear()
@@ -53,7 +53,7 @@ class RatesLog:
         now = stays | {topic: _mean(seen) for topic, seen in lasting.items()}
         are_others = now.keys() != self._logged.keys()
         if are_others or any(all(_is_far(one, self._logged[topic]) for one in seen) for topic, seen in lasting.items()):
-            yield _entry(self._logged, now)
+            yield _event(self._logged, now)
             self._logged = now
             self._seen.clear()
 
@@ -67,7 +67,7 @@ def _is_far(one: Slowed, other: Slowed) -> bool:
     return max(one.kept, other.kept) > _AS_BEFORE * min(one.kept, other.kept)
 
 
-def _entry(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Entry:
+def _event(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Event:
     moved = []
     for topic in before.keys() | now.keys():
         source_hz = (now.get(topic) or before[topic]).source_hz
@@ -78,4 +78,4 @@ def _entry(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Entry:
     condition = Condition.LIMITED if now else Condition.CLEAR
     what = f"the link slows {count(len(now), 'topic')}" if now else "the link slows no topic any longer"
     details = {"topics_slowed": str(len(now))}
-    return Entry(Happening.RATES, condition.severity, f"{what}: {words}" if words else what, details=details)
+    return Event(Happening.RATES, condition.severity, f"{what}: {words}" if words else what, details=details)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from arpd.model.endpoints import RefusalReason, SwapPhase
 from arpd.model.quantities import format_duration, format_number
 from arpd.report.conditions import Happening, Severity
-from arpd.report.events import Entry
+from arpd.report.events import Event
 from arpd.report.wording import count, deadline, listed
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class SwapLog:
         self._waiting: list[_Outcome] = []
         self._since_s = math.inf
 
-    def follow(self, snapshot: Snapshot) -> Iterator[Entry]:
+    def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
         now_s, publishers = snapshot.finished_at_s, snapshot.observation.publishers
         new = [outcome for publisher in publishers for outcome in self._of(publisher)]
@@ -64,7 +64,7 @@ class SwapLog:
             return
         waiting, self._waiting, self._since_s = sorted(self._waiting, key=lambda one: one[:2]), [], math.inf
         for together in dict.fromkeys(outcome.together for outcome in waiting):
-            yield from _entries([outcome for outcome in waiting if outcome.together == together])
+            yield from _events([outcome for outcome in waiting if outcome.together == together])
 
     def _of(self, publisher: PublisherState) -> Iterator[_Outcome]:
         identity, record, reason = (publisher.node, publisher.topic), publisher.last_swap, publisher.refusal_reason
@@ -98,11 +98,11 @@ def _ended(publisher: PublisherState, record: SwapRecord) -> str:
     return f"{publisher.topic} swapped to {asked}{took}" + (f" ({phases})" if phases else "") + order
 
 
-def _entries(outcomes: list[_Outcome]) -> Iterator[Entry]:
+def _events(outcomes: list[_Outcome]) -> Iterator[Event]:
     severity = Severity.INFO if outcomes[0].together == "swapped" else Severity.WARNING
     if len(outcomes) <= _MOST_ALONE:
         for one in outcomes:
-            yield Entry(Happening.SWAP, severity, one.text, one.topic, one.node, one.details)
+            yield Event(Happening.SWAP, severity, one.text, one.topic, one.node, one.details)
         return
     text = f"{count(len(outcomes), 'publisher')} {outcomes[0].together}"
     details = {"publishers": str(len(outcomes))}
@@ -110,7 +110,7 @@ def _entries(outcomes: list[_Outcome]) -> Iterator[Entry]:
         least, most = format_number(min(took_s)), format_number(max(took_s))
         text += f" in {most} s" if least == most else f" in {least} to {most} s"
         details["seconds"] = f"{max(took_s):.3f}"
-    yield Entry(Happening.SWAP, severity, f"{text}: {listed([one.topic for one in outcomes])}", details=details)
+    yield Event(Happening.SWAP, severity, f"{text}: {listed([one.topic for one in outcomes])}", details=details)
 
 
 def _details(record: SwapRecord) -> dict[str, str]:

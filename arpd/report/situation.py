@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.allocation import AllocationStatus
@@ -13,12 +12,12 @@ from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.model.settings import AUTO
 from arpd.report import waiting
-from arpd.report.conditions import Condition
+from arpd.report.conditions import Condition, Finding
 from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import AT_FLOORS, confirmed, count, listed, short
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from arpd.model.relay import RelaySummary
     from arpd.report.snapshot import Snapshot
@@ -31,6 +30,7 @@ _STEPS = 20  # of the allowed part in the line for systemd, which sends each cha
 _EMPTY_QUEUE_S = 0.001
 _LOSSY = 0.01
 _RANK = {condition: number for number, condition in enumerate(Condition)}
+_CUTS = {Condition.STANDING_BY, Condition.INTERFACE_DOWN, Condition.OUTAGE}
 # What nobody can know while the link is cut or another daemon drives the robot: it neither begins nor ends.
 HIDDEN_WHILE_CUT = {
     Condition.OUTAGE,  # while the interface is down, or no peer answers this daemon, because it asks nothing
@@ -45,33 +45,6 @@ _POSTPONED = {
     "dwell": "the last plan is too young (governor.dwell)",
     "budget": "limit reached: swaps have used up their part of the link",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A condition that holds, and the reason.
-
-    Parameters
-    ----------
-    why : what follows the headline, without a full stop
-    about : what it is about; it begins anew with another
-    lasts_s : for how long it has held, where the snapshot knows (s)
-    """
-
-    condition: Condition
-    why: str
-    about: str = ""
-    lasts_s: float | None = None
-
-    @property
-    def text(self) -> str:
-        """The whole sentence, headline first."""
-        return f"{self.condition.headline}: {self.why}."
-
-    @property
-    def phrase(self) -> str:
-        """The same, for a line that goes on."""
-        return f"{self.condition.phrase}: {self.why}"
 
 
 class Slowed(NamedTuple):
@@ -120,7 +93,7 @@ def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: 
     rows = topic_rows(snapshot) if rows is None else rows
     slowed = slowed_topics(rows)
     found = lasting(snapshot)
-    if not is_cut(snapshot):
+    if not _CUTS & {finding.condition for finding in found}:
         found += _course(snapshot, sum(row.planned is not None for row in rows), slowed)
     if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > Condition.STALE.holds_s:
         why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
@@ -136,26 +109,30 @@ def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: 
 
 def lasting(snapshot: Snapshot) -> list[Finding]:
     """Return the events among the conditions that have held for their time."""
-    return [each for each in found_in(snapshot) if held_s(each, snapshot) >= each.condition.holds_s]
+    return [each for each in snapshot.found if snapshot.finished_at_s - each.since_s >= each.condition.holds_s]
 
 
-def held_s(finding: Finding, snapshot: Snapshot) -> float:
-    """Return for how long a condition has held (s)."""
-    if finding.lasts_s is not None:
-        return finding.lasts_s
-    about, since_s = snapshot.since_s.get(finding.condition, ("", math.inf))
-    return max(0.0, snapshot.finished_at_s - since_s) if about == finding.about else 0.0
+def find(snapshot: Snapshot) -> tuple[Finding, ...]:
+    """Return those conditions that are events, however short, since when the snapshot before knew them.
+
+    No wall clock has a say.
+    """
+    found = (
+        each if math.isfinite(each.since_s) else replace(each, since_s=_since_s(snapshot, each))
+        for each in _found_in(snapshot)
+    )
+    return tuple(found)
 
 
-def since_when(snapshot: Snapshot) -> Mapping[Condition, tuple[str, float]]:
-    """Return what each condition that holds is about, and since when, from what the turn before knew (s)."""
-    now_s = snapshot.finished_at_s
-    since_s = {each.condition: (each.about, now_s - held_s(each, snapshot)) for each in found_in(snapshot)}
-    return MappingProxyType(since_s)
+def _since_s(snapshot: Snapshot, finding: Finding) -> float:
+    """Return since when it has held, by what was found before (s)."""
+    before = (
+        each.since_s for each in snapshot.found if (each.condition, each.about) == (finding.condition, finding.about)
+    )
+    return next(before, snapshot.finished_at_s)
 
 
-def found_in(snapshot: Snapshot) -> Iterator[Finding]:
-    """Yield those conditions of a snapshot that are events, however short; no wall clock has a say."""
+def _found_in(snapshot: Snapshot) -> Iterator[Finding]:
     observation = snapshot.observation
     if where := observation.active_daemon:
         yield Finding(Condition.STANDING_BY, f"another arpd daemon, on {where}, drives this robot")
@@ -168,9 +145,9 @@ def found_in(snapshot: Snapshot) -> Iterator[Finding]:
     yield from _of_configuration(snapshot)
     yield from _of_relay(snapshot)
     if not observation.active_daemon and (why := waiting.peer(snapshot)):
-        silent_s = waiting.lost_for_s(snapshot)
-        if silent_s is not None:
-            yield Finding(Condition.PEER_LOST, why, lasts_s=silent_s)
+        if waiting.is_lost(snapshot):  # one that is forgotten is so since it was found
+            silent_s = min(observation.peer_ages_s.values(), default=-math.inf)
+            yield Finding(Condition.PEER_LOST, why, since_s=snapshot.finished_at_s - silent_s)
         elif not is_cut(snapshot):
             yield Finding(Condition.WITHOUT_PEER, why)
     if not is_cut(snapshot):
@@ -238,7 +215,7 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
     if snapshot.confirmed < (managed := snapshot.managed):
         late = Finding(Condition.UNCONFIRMED, "", f"plan {decision.plan.generation} for {managed}")
         # In whole seconds: the status line goes to systemd whenever it changes.
-        after = format_duration(held_s(late, snapshot) // 1)
+        after = format_duration((snapshot.finished_at_s - _since_s(snapshot, late)) // 1)
         yield replace(late, why=f"{who_confirmed(snapshot)} after {after}")
     if decision.refusals:
         about = f"plan {decision.plan.generation}: {' '.join(decision.refusals)}"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.plan import Decision
-    from arpd.report.conditions import Condition
+    from arpd.report.conditions import Finding
     from arpd.report.events import Event
 
 
@@ -77,7 +77,7 @@ class Snapshot:
     config_loaded_at_s : wall clock when the configuration in force was read (s)
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan
-    since_s : what each condition that holds is about, and since when, on the monotonic clock (s)
+    found : conditions that held, and since when, as of the last tick that planned
     lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     events : the last of the decision log, oldest first
     """
@@ -99,7 +99,7 @@ class Snapshot:
     keys_awaiting_restart: tuple[str, ...] = ()
     has_interface: bool = True
     confirmed: int = 0
-    since_s: Mapping[Condition, tuple[str, float]] = field(default_factory=lambda: MappingProxyType({}))
+    found: tuple[Finding, ...] = ()
     lease_s: float = 0.0
     events: tuple[Event, ...] = ()
 

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from arpd.model.link_topics import LinkTopic
 
 _LARGE_BYTES_PER_SECOND = 1e6 / 8  # a part of weak Wi-Fi that other topics feel
-_KBIT = 1e3 / 8  # bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,8 +23,7 @@ class Care:
     weight : as in the configuration
     share : floor as a part of the measured rate, within the next two
     least_hz, most_hz : bounds of the floor; it never exceeds the measured rate (Hz)
-    most_bytes_per_second : further bound of the floor, on the wire: large samples are few (bytes/s)
-    reason : why, for a comment
+    most_kbit : further bound of the floor, on the wire: large samples are few (kbit/s)
     latency_budget_s : as in the configuration; None = its default (s)
     is_periodic : whether the measured rate says what rate is useful
     """
@@ -34,97 +32,54 @@ class Care:
     share: float
     least_hz: float
     most_hz: float
-    reason: str
-    most_bytes_per_second: float = math.inf
+    most_kbit: float = math.inf
     latency_budget_s: float | None = None
     is_periodic: bool = False
+
+    @property
+    def most_bytes_per_second(self) -> float:
+        """The same in bytes/s."""
+        return self.most_kbit * 125
 
 
 class Role(Enum):
     """Use of a topic, from the most to the least important one."""
 
-    COMMAND = Care(
-        weight=10,
-        share=1.0,
-        least_hz=20,
-        most_hz=20,
-        latency_budget_s=0.2,
-        reason="a command: a late one is dangerous, so it comes first and only the newest ones count",
-    )
-    TRANSFORM = Care(
-        weight=6,
-        share=1.0,
-        least_hz=10,
-        most_hz=100,
-        reason="transforms, or time: each message may hold other frames, and others wait for it",
-    )
-    STATE = Care(
-        weight=5,
-        share=0.25,
-        least_hz=5,
-        most_hz=30,
-        most_bytes_per_second=200 * _KBIT,
-        is_periodic=True,
-        reason="the robot's motion, or a reading: small, and control needs it fresh",
-    )
-    LATCHED = Care(
-        weight=4,
-        share=1.0,
-        least_hz=1,
-        most_hz=10,
-        most_bytes_per_second=50 * _KBIT,  # it keeps that although it is silent
-        reason="latched: readers keep the newest one, so each should arrive",
-    )
-    PERCEPTION = Care(
-        weight=3,
-        share=0.25,
-        least_hz=1,
-        most_hz=5,
-        most_bytes_per_second=250 * _KBIT,
-        is_periodic=True,
-        reason="what the robot sees, in few bytes: useful at a lower rate, too",
-    )
-    OTHER = Care(
-        weight=2,
-        share=1.0,
-        least_hz=1,
-        most_hz=1,
-        most_bytes_per_second=50 * _KBIT,
-        reason="a type that arpd does not know: please judge",
-    )
-    VIDEO = Care(
-        weight=1,
-        share=1.0,
-        least_hz=0,
-        most_hz=math.inf,
-        reason=(
-            "WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key "
-            "frame: its minimum rate is all it sends. If that is too much, let the encoder send less, or send pictures"
-        ),
-    )
-    PICTURE = Care(
-        weight=1,
-        share=0.1,
-        least_hz=0.5,
-        most_hz=2,
-        most_bytes_per_second=400 * _KBIT,
-        is_periodic=True,
-        reason="large: it takes what the others leave",
-    )
-    DIAGNOSTIC = Care(
-        weight=0.5,
-        share=0.2,
-        least_hz=0.2,
-        most_hz=0.5,
-        most_bytes_per_second=50 * _KBIT,
-        reason="diagnostics: nobody waits for them",
-    )
+    COMMAND = Care(weight=10, share=1.0, least_hz=20, most_hz=20, latency_budget_s=0.2)
+    TRANSFORM = Care(weight=6, share=1.0, least_hz=10, most_hz=100)
+    STATE = Care(weight=5, share=0.25, least_hz=5, most_hz=30, most_kbit=200, is_periodic=True)
+    LATCHED = Care(weight=4, share=1.0, least_hz=1, most_hz=10, most_kbit=50)  # which it keeps although it is silent
+    PERCEPTION = Care(weight=3, share=0.25, least_hz=1, most_hz=5, most_kbit=250, is_periodic=True)
+    OTHER = Care(weight=2, share=1.0, least_hz=1, most_hz=1, most_kbit=50)
+    VIDEO = Care(weight=1, share=1.0, least_hz=0, most_hz=math.inf)
+    PICTURE = Care(weight=1, share=0.1, least_hz=0.5, most_hz=2, most_kbit=400, is_periodic=True)
+    DIAGNOSTIC = Care(weight=0.5, share=0.2, least_hz=0.2, most_hz=0.5, most_kbit=50)
 
     @property
     def care(self) -> Care:
         """What suits its topics."""
         return self.value
 
+    @property
+    def reason(self) -> str:
+        """Why, for a comment."""
+        return _REASONS[self]
+
+
+_REASONS = {
+    Role.COMMAND: "a command: a late one is dangerous, so it comes first and only the newest ones count",
+    Role.TRANSFORM: "transforms, or time: each message may hold other frames, and others wait for it",
+    Role.STATE: "the robot's motion, or a reading: small, and control needs it fresh",
+    Role.LATCHED: "latched: readers keep the newest one, so each should arrive",
+    Role.PERCEPTION: "what the robot sees, in few bytes: useful at a lower rate, too",
+    Role.OTHER: "a type that arpd does not know: please judge",
+    Role.VIDEO: (
+        "WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key "
+        "frame: its minimum rate is all it sends. If that is too much, let the encoder send less, or send pictures"
+    ),
+    Role.PICTURE: "large: it takes what the others leave",
+    Role.DIAGNOSTIC: "diagnostics: nobody waits for them",
+}
 
 _TWIST = r"geometry_msgs/msg/Twist(Stamped)?"
 _BY_TYPE: tuple[tuple[Role, str], ...] = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from arpd.model.link import CapacityKind
@@ -51,14 +50,12 @@ def is_reported(snapshot: Snapshot) -> bool:
     return any(age_s < Condition.PEER_LOST.holds_s for age_s in snapshot.observation.peer_ages_s.values())
 
 
-def lost_for_s(snapshot: Snapshot) -> float | None:
-    """Return for how long a peer that reported once has been silent (s), None where none did or none is needed."""
-    if snapshot.link.kind is CapacityKind.CONFIGURED:
-        return None
-    if ages_s := snapshot.observation.peer_ages_s:
-        return min(ages_s.values())
-    # A peer that is forgotten is still lost.
-    return math.inf if Condition.PEER_LOST in snapshot.since_s else None
+def is_lost(snapshot: Snapshot) -> bool:
+    """Return whether a peer that is needed reported once; one that is forgotten is still lost."""
+    was_there = snapshot.observation.peer_ages_s or any(
+        each.condition is Condition.PEER_LOST for each in snapshot.found
+    )
+    return bool(was_there) and snapshot.link.kind is not CapacityKind.CONFIGURED
 
 
 def peer(snapshot: Snapshot) -> str:

@@ -5,22 +5,22 @@ from __future__ import annotations
 import ipaddress
 import logging
 import socket
-import time
 from functools import cache
 from typing import TYPE_CHECKING
 
+import prometheus_client
+from prometheus_client import CollectorRegistry, disable_created_metrics
+from tornado.httputil import split_host_and_port
+
 from arpd.model.errors import ConfigError
+from arpd.web.passwords import PasswordVerdict
 from arpd.web.web_config import Protection, load_protection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-    from arpd.web.http_metrics import HttpCounts
 
 log = logging.getLogger(__name__)
-
-_RETRY_S = 10.0  # a file that a broken web-config names may appear while the web-config stays the same
 
 
 class Access:
@@ -33,7 +33,6 @@ class Access:
     ----------
     path : web-config file, None = no protection
     counts : notes whether the file can be used
-    clock : monotonic clock (s)
 
     Raises
     ------
@@ -41,12 +40,10 @@ class Access:
         If the file cannot be used.
     """
 
-    def __init__(self, path: Path | None, *, counts: HttpCounts, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, path: Path | None, *, counts: HttpCounts) -> None:
         self._path = path
         self._counts = counts
-        self._clock = clock
         self._fault = ""
-        self._retry_at_s = 0.0
         self.protection = Protection() if path is None else load_protection(path)
         self._stamps = _stamps(self.protection.files)
 
@@ -55,25 +52,52 @@ class Access:
         if self._path is None:
             return False
         stamps = _stamps(self.protection.files)  # taken before reading, so that a later change is read again
-        if stamps == self._stamps and not (self._fault and self._clock() >= self._retry_at_s):
+        if stamps == self._stamps and not self._fault:  # a file that a broken web-config names may appear
             return False
-        self._stamps, self._retry_at_s = stamps, self._clock() + _RETRY_S
+        self._stamps = stamps
         try:
             protection = load_protection(self._path)
             fault = _opened(self.protection, protection)
         except (ConfigError, OSError) as error:  # a certificate may vanish while it is read
             fault = str(error)
         self._counts.is_config_good.set(not fault)
+        if fault and fault != self._fault:
+            log.error("http.web_config is refused; the last good one stays in force: %s", fault)
+        self._fault = fault
         if fault:
-            if fault != self._fault:
-                log.error("http.web_config is refused; the last good one stays in force: %s", fault)
-            self._fault = fault
             return False
         log.info("http.web_config has changed and is in force")
         if protection.files != self.protection.files:
             self._stamps = _stamps(protection.files)
-        self.protection, self._fault = protection, ""
+        self.protection = protection
         return True
+
+
+class HttpCounts:
+    """Counts of the HTTP server itself; no client can add values to a label.
+
+    Parameters
+    ----------
+    registry : exposes them
+    """
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        disable_created_metrics()  # type: ignore[no-untyped-call]
+
+        def counter(name: str, text: str, *labels: str) -> prometheus_client.Counter:
+            return prometheus_client.Counter(f"arpd_http_{name}", text, labels, registry=registry)
+
+        self.requests = counter("requests", "Requests answered.", "path", "code")
+        self.evicted = counter("connections_evicted", "Connections closed to make room for a newcomer.")
+        text = "Credentials of requests; cached means right and remembered."
+        self.authentications = counter("authentications", text, "result")
+        for verdict in PasswordVerdict:
+            self.authentications.labels(verdict)  # from zero, so that rate() sees the first
+        text = "0 while http.web_config cannot be used and an older version is in force."
+        self.is_config_good = prometheus_client.Gauge(
+            "arpd_http_config_last_reload_successful", text, registry=registry
+        )
+        self.is_config_good.set(1)
 
 
 def exposure(address: str, protection: Protection) -> str:
@@ -98,10 +122,7 @@ def is_own_name(host: str, listening_on: str) -> bool:
     host : the header, with or without a port
     listening_on : ``http.host``
     """
-    name = host.lower()
-    if not name.endswith("]"):
-        name = name.rpartition(":")[0] if ":" in name else name
-    name = name.removesuffix(".")
+    name = split_host_and_port(host.lower())[0].removesuffix(".")
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -134,13 +155,13 @@ def _opened(old: Protection, new: Protection) -> str:
     return ""
 
 
-def _stamps(files: tuple[Path, ...]) -> tuple[tuple[int, int, int] | None, ...]:
-    return tuple(_stamp(file) for file in files)
-
-
-def _stamp(file: Path) -> tuple[int, int, int] | None:
-    try:
-        status = file.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size, status.st_ino
+def _stamps(files: tuple[Path, ...]) -> list[tuple[int, int, int] | None]:
+    stamps: list[tuple[int, int, int] | None] = []
+    for file in files:
+        try:
+            status = file.stat()
+        except OSError:
+            stamps.append(None)
+        else:
+            stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
+    return stamps

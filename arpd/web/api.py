@@ -28,7 +28,7 @@ from arpd.web.json_text import head_and_rows, plain
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from arpd.report import situation
+    from arpd.report import conditions
     from arpd.report.history import Sample
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import TopicRow
@@ -301,7 +301,7 @@ def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf
     return head_and_rows(head, (plain(_topic(row)) for row in rows))
 
 
-def _finding(found: situation.Finding) -> Finding:
+def _finding(found: conditions.Finding) -> Finding:
     what = found.condition
     return Finding(condition=what, severity=what.severity, headline=what.headline, text=found.text, wrong=what.is_wrong)
 

@@ -6,8 +6,10 @@ import asyncio
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from prometheus_client import generate_latest
 
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from prometheus_client import CollectorRegistry
-    from prometheus_client.core import Metric
 
     from arpd.report.history import History
     from arpd.report.snapshot import Snapshot
@@ -106,7 +107,8 @@ class Documents:
                 left_s -= time.monotonic() - began_s
 
     def _metrics(self) -> tuple[str, Iterable[bytes]]:
-        return _METRICS, (generate_latest(_Alone(family)) for family in self._registry.collect())
+        families = (SimpleNamespace(collect=partial(iter, [family])) for family in self._registry.collect())
+        return _METRICS, (generate_latest(cast("CollectorRegistry", one)) for one in families)
 
     def _status(self) -> tuple[str, Iterable[bytes]] | None:
         snapshot = self._snapshot()
@@ -118,14 +120,3 @@ class Documents:
         samples, snapshot = self._history.samples, self._snapshot()
         events = () if snapshot is None else snapshot.events
         return _JSON, history_json(samples, events)
-
-
-class _Alone:
-    """A registry with one family, so that the library's encoder makes the text of that one."""
-
-    def __init__(self, family: Metric) -> None:
-        self._family = family
-
-    def collect(self) -> tuple[Metric]:
-        """Return the family."""
-        return (self._family,)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from pathlib import Path
@@ -21,13 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.report.snapshot import Snapshot
-    from arpd.web.access import Access
+    from arpd.web.access import Access, HttpCounts
     from arpd.web.documents import Documents
-    from arpd.web.http_metrics import HttpCounts
 
 HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
 ASSETS = Path(__file__).parent / "assets"
-_PATHS = re.compile(r"/|/metrics|/-/(healthy|ready)|/api/v1/(status|history|schema/(status|history)-v1\.json)")
 _HEADERS = {
     "Server": "arpd",
     "Cache-Control": "no-cache",  # a client may keep it, and asks each time whether it changed
@@ -102,7 +99,7 @@ class Site(Application):
 
     def _count(self, handler: RequestHandler) -> None:
         path = handler.request.path
-        label = path if _PATHS.fullmatch(path) else "/assets/" if path.startswith("/assets/") else "other"
+        label = "/assets/" if path.startswith("/assets/") else "other" if isinstance(handler, _Nothing) else path
         self.counts.requests.labels(label, handler.get_status()).inc()
 
     def close(self) -> None:

@@ -16,10 +16,9 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
 from arpd.report.history import History
-from arpd.web.access import Access, client_of, exposure
+from arpd.web.access import Access, HttpCounts, client_of, exposure
 from arpd.web.documents import Documents
 from arpd.web.handlers import Site
-from arpd.web.http_metrics import HttpCounts
 from arpd.web.metrics import make_registry
 from arpd.web.passwords import Passwords
 from arpd.web.web_config import web_config_path

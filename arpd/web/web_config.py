@@ -10,7 +10,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, PlainValidator, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
 from arpd.model.quantities import printable
@@ -68,22 +68,11 @@ def _hash(raw: Any) -> str:
     return match[0]
 
 
-def _file(raw: Any) -> str:
-    if not isinstance(raw, str) or not re.fullmatch(r"[^\0]{1,4096}", raw):
-        raise ValueError("is not a path; write the path of a PEM file")
-    return raw
-
-
-def _client_auth(raw: Any) -> ClientAuth:
-    if raw not in list(ClientAuth):
-        raise ValueError(f"is not one of the choices; write {' or '.join(ClientAuth)}")
-    return ClientAuth(raw)
-
-
-def _names(raw: Any) -> tuple[str, ...]:
-    if not isinstance(raw, list) or not raw or not all(isinstance(name, str) and name for name in raw):
-        raise ValueError("is not a list of names; write `- name` for each, or leave it out")
-    return tuple(raw)
+_File = Annotated[str, Field(pattern=r"^[^\x00]{1,4096}$")]
+_WRONG = {
+    "client_auth_type": f"is not one of the choices; write {' or '.join(ClientAuth)}",
+    "client_allowed_sans": "is not a list of names; write `- name` for each, or leave it out",
+} | dict.fromkeys(("cert_file", "key_file", "client_ca_file"), "is not a path; write the path of a PEM file")
 
 
 class _Section(BaseModel):
@@ -93,11 +82,11 @@ class _Section(BaseModel):
 class TlsServer(_Section):
     """``tls_server_config``."""
 
-    cert_file: Annotated[str, PlainValidator(_file)]
-    key_file: Annotated[str, PlainValidator(_file)]
-    client_auth_type: Annotated[ClientAuth, PlainValidator(_client_auth)] = ClientAuth.NONE
-    client_ca_file: Annotated[str, PlainValidator(_file)] = ""
-    client_allowed_sans: Annotated[tuple[str, ...], PlainValidator(_names)] = ()
+    cert_file: _File
+    key_file: _File
+    client_auth_type: Annotated[ClientAuth, Field(strict=False)] = ClientAuth.NONE
+    client_ca_file: _File = ""
+    client_allowed_sans: Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1)] = []
 
 
 class WebDocument(_Section):
@@ -217,6 +206,9 @@ def _broken_rules(document: WebDocument, source: YamlSource) -> Iterator[tuple[L
 
 def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
     location: Location = details["loc"]
+    key = location[1] if location[0] == _TLS and len(location) > 1 else ""
+    if key in _WRONG and details["type"] != "missing":
+        return source.fault(location[:2], _WRONG[str(key)])
     match details["type"]:
         case "extra_forbidden":
             name = str(location[-1])

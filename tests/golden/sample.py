@@ -17,7 +17,7 @@ from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.report.durations import Durations
-from arpd.report.situation import found_in
+from arpd.report.situation import find
 from arpd.report.snapshot import Snapshot, Totals
 from arpd.web.api import status_json
 from tests.sample_publishers import publisher
@@ -257,11 +257,7 @@ def make_snapshot() -> Snapshot:
             reports=8900,
             reloads_by_result=MappingProxyType({"ok": 2, "failed": 1}),
             events_by_kind=MappingProxyType({"started": 1, "plan": 3}),
-            durations=Durations().with_ticks(
-                [0.0078125, 3.0],
-                late_s=[0.0, 0.0625],
-                solve_s=0.000125,
-            ),
+            durations=Durations().including([0.0078125, 3.0], [0.0, 0.0625], [0.000125]),
         ),
         config_path="/etc/arpd/arpd.yaml",
         config_error="",
@@ -271,8 +267,13 @@ def make_snapshot() -> Snapshot:
 
 def held(snapshot, *, for_s=60.0):
     """Return the snapshot as it is when all that holds has held for so long (s)."""
-    since_s = {found.condition: (found.about, FINISHED_AT_S - for_s) for found in found_in(snapshot)}
-    return replace(snapshot, since_s=since_s)
+    return looked(snapshot, found=tuple(replace(each, since_s=FINISHED_AT_S - for_s) for each in find(snapshot)))
+
+
+def looked(snapshot, **fields):
+    """Return the snapshot with other fields, as it is when its conditions have been looked for."""
+    snapshot = replace(snapshot, **fields)
+    return replace(snapshot, found=find(snapshot))
 
 
 def status_of(snapshot, **options):
@@ -287,4 +288,4 @@ def changed(**parts):
         name: replace(getattr(snapshot, name), **part) if isinstance(part, dict) else part
         for name, part in parts.items()
     }
-    return replace(snapshot, **whole)
+    return looked(snapshot, **whole)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.web.http_metrics import HttpCounts
+from arpd.web.access import HttpCounts
 from arpd.web.metrics import SnapshotCollector
 from tests.golden.sample import FINISHED_AT_S
 

@@ -61,7 +61,7 @@ def first_file(guess: FirstGuess, link: LinkChoice, *, origin: str) -> str:
         return "\n".join([*lines, "topics: []", ""])
     lines.append("topics:")
     for topic in guess.topics:
-        words = "; ".join((topic.role.care.reason, *topic.remarks))
+        words = "; ".join((topic.role.reason, *topic.remarks))
         lines += _indented([*_comment(words), *_yaml([_entry(topic)])])
     return "\n".join([*lines, ""])
 

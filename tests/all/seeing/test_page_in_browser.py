@@ -14,7 +14,7 @@ from arpd.report.events import Event
 from arpd.report.history import History
 from arpd.web.server import HttpServer
 from tests.all.seeing.browser import PHONE, chromium, visit
-from tests.golden.sample import FINISHED_AT_S
+from tests.golden.sample import FINISHED_AT_S, looked
 from tests.sample_publishers import publisher
 from tests.unit.web_world import HASH, PASSWORD, make_certificate
 from tests.waiting import eventually
@@ -79,7 +79,7 @@ def daemon(sample_snapshot):
 
 def test_the_document_stands_in_its_places(daemon, browser):
     """Verdict, faults, link, rows, log and facts show the document's values; the log has the newest line first."""
-    daemon.snapshot = replace(daemon.snapshot, config_error="line 3", lease_s=30.0)
+    daemon.snapshot = looked(daemon.snapshot, config_error="line 3", lease_s=30.0)
     with visit(browser, daemon.server.url) as seen:
         seen.await_live()
         (verdict,) = seen.texts("#verdict p")
@@ -125,7 +125,7 @@ def test_names_from_the_network_stay_text(daemon, browser):
     observation = replace(daemon.snapshot.observation, publishers=(evil,))
     events = (replace(daemon.snapshot.events[0], text=HOSTILE),)
     link = replace(daemon.snapshot.link, evidence=HOSTILE)
-    daemon.snapshot = replace(
+    daemon.snapshot = looked(
         daemon.snapshot, observation=observation, events=events, link=link, interface=HOSTILE, config_error=HOSTILE
     )
     daemon.history.note(daemon.at(daemon.snapshot, 1.0))
@@ -175,7 +175,7 @@ def test_nobody_asks_while_nobody_looks(daemon, browser):
         seen.page.evaluate(hide, arg=True)
         asked = len(seen.requests)
         for fault in ("line 3", "line 4"):
-            daemon.snapshot = replace(daemon.snapshot, config_error=fault)
+            daemon.snapshot = looked(daemon.snapshot, config_error=fault)
             eventually(f"{fault} is shown", lambda fault=fault: any(fault in text for text in other.texts(".notice")))
         assert not any("line 4" in text for text in seen.texts(".notice"))
         assert len(seen.requests) <= asked + 1  # one may have been under way

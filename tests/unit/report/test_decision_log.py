@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -17,7 +16,6 @@ from arpd.model.link import LinkState
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.report.conditions import MESSAGE_IDS, Condition, Happening, Severity
 from arpd.report.decision_log import MOST_EVENTS, DecisionLog
-from arpd.report.situation import since_when
 from arpd.report.snapshot import Totals
 from tests.examples import examples
 from tests.golden.sample import changed as sample
@@ -79,9 +77,8 @@ class Log:
             part = next((part for part in self.parts.values() if name in part), self.others)
             part[name] = value
         at = {"finished_at_s": self.at_s, "unix_time_s": 1.7e9 + self.at_s}
-        since_s = MappingProxyType({}) if self.snapshot is None else self.snapshot.since_s
-        self.snapshot = sample(**self.parts, **self.others, **at, since_s=since_s)
-        self.snapshot = replace(self.snapshot, since_s=since_when(self.snapshot))
+        found = () if self.snapshot is None else self.snapshot.found
+        self.snapshot = sample(**self.parts, **self.others, **at, found=found)
         return self.decision_log.follow(self.snapshot)
 
     def wait(self, seconds, **changed):

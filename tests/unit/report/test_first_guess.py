@@ -95,7 +95,7 @@ def test_a_video_is_not_thinned_like_pictures(kind):
     """Its frames need those before them: the floor is the whole rate, with a warning."""
     guess = guess_of(kind, 30.0, 20_000.0)
     assert (guess.min_rate_hz, guess.max_rate_hz) == (30.0, None)
-    assert "WARNING" in guess.role.care.reason
+    assert "WARNING" in guess.role.reason
     assert guess_of("sensor_msgs/msg/CompressedImage", 30.0, 20_000.0).min_rate_hz < 5
 
 

@@ -17,8 +17,8 @@ from arpd.model.plan import QosPlan
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.model.settings import LinkSettings, RelaySettings, RelayTopic, Settings, TopicSettings
 from arpd.report.conditions import Condition, Severity
-from arpd.report.situation import judge, since_when, status_line
-from tests.golden.sample import FINISHED_AT_S, changed, held
+from arpd.report.situation import judge, status_line
+from tests.golden.sample import FINISHED_AT_S, changed, held, looked
 
 NO_PLAN = QosPlan(generation=0, topics=MappingProxyType({}), level_bytes_per_second=0.0)
 CALM = {"link": {"loss_ratio": 0.0}}
@@ -113,7 +113,7 @@ def test_a_condition_counts_once_it_has_held_for_its_time(condition):
             unix_time_s=1.7e9 + (second % 3) * 1e8,
             observation=replace(snapshot.observation, peer_ages_s=ages_s),
         )
-        snapshot = replace(snapshot, since_s=since_when(snapshot))
+        snapshot = looked(snapshot)
         assert (condition in findings(snapshot)) is (second >= condition.holds_s)
 
 
@@ -129,9 +129,8 @@ def test_a_node_that_later_refuses_is_found_although_all_had_confirmed():
             finished_at_s=FINISHED_AT_S + second,
             confirmed=confirmed,
             decision=decision,
-            since_s=snapshot.since_s,
         )
-        snapshot = replace(snapshot, since_s=since_when(snapshot))
+        snapshot = looked(snapshot)
         told += [second] if Condition.UNCONFIRMED in findings(snapshot) else []
     assert told == [*range(35, 45)]
 
@@ -139,14 +138,13 @@ def test_a_node_that_later_refuses_is_found_although_all_had_confirmed():
 def test_a_peer_that_was_there_is_missed_until_one_reports():
     """The world forgets it after a minute, arpd does not; a robot that never had one misses none."""
     lost = changed(observation={"peer_ages_s": {"base": 11.0}})
-    lost = replace(lost, since_s=since_when(lost))
     forgotten = replace(lost, observation=replace(lost.observation, peer_ages_s={}))
-    forgotten = replace(forgotten, since_s=since_when(forgotten))
+    forgotten = looked(forgotten)
     for snapshot in (lost, forgotten):
         assert Condition.PEER_LOST in findings(snapshot)
         assert Condition.WITHOUT_PEER not in findings(held(snapshot))
     back = replace(forgotten, observation=replace(lost.observation, peer_ages_s={"base": 0.5}))
-    assert Condition.PEER_LOST not in findings(back)
+    assert Condition.PEER_LOST not in findings(looked(back))
     assert Condition.PEER_LOST not in findings(changed(observation={"peer_ages_s": {}}))
 
 

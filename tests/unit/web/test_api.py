@@ -18,7 +18,7 @@ from arpd.report.events import Event
 from arpd.report.history import History as Past
 from arpd.web.api import History, Status, history_json
 from arpd.web.json_text import read, schema_of
-from tests.golden.sample import status_of
+from tests.golden.sample import changed, status_of
 
 KEYS = Path(__file__).parents[2] / "golden" / "api-v1-keys.yml"
 KINDS = {"status": Status, "history": History}
@@ -39,7 +39,7 @@ def documents(sample_snapshot):
     past = Past()
     past.note(sample_snapshot)
     allocation = replace(sample_snapshot.allocation, uniform=Uniform(topics=3, max_rate_hz=9.0, rate_hz=3.0, depth=5))
-    full = replace(sample_snapshot, events=(EVENT,), allocation=allocation, config_error="line 3: unknown key")
+    full = changed(events=(EVENT,), allocation=allocation, config_error="line 3: unknown key")
     observation = replace(sample_snapshot.observation, publishers=(), counters=None, peer_ages_s={}, rmw="", taken=None)
     allocation = replace(sample_snapshot.allocation, topics=(), status=AllocationStatus.EMPTY)
     link = replace(sample_snapshot.link, age_s=math.inf, queue_delay_s=math.nan, loss_ratio=None)

@@ -13,7 +13,7 @@ import pytest
 from arpd.report.conditions import Happening, Severity
 from arpd.report.events import Event
 from arpd.report.history import History
-from tests.golden.sample import status_of
+from tests.golden.sample import changed, status_of
 from tests.unit.web_world import running
 
 WEB = Path(__file__).parents[3] / "arpd" / "web"
@@ -94,10 +94,10 @@ class _Places(HTMLParser):
             self.rows.pop()
 
 
-def test_every_place_of_the_page_is_in_the_document(sample_snapshot):
+def test_every_place_of_the_page_is_in_the_document():
     """Each path of page.html exists in a full document."""
     told = Event(number=1, at_s=1000.0, unix_time_s=1.7e9, kind=Happening.PLAN, severity=Severity.INFO, text="a plan")
-    document = status_of(replace(sample_snapshot, config_error="line 3", events=(told,)), now_s=1000.25)
+    document = status_of(changed(config_error="line 3", events=(told,)), now_s=1000.25)
     places = _Places()
     places.feed((WEB / "assets/page.html").read_text())
     assert len(places.paths) > 60

@@ -13,10 +13,9 @@ import pytest
 from prometheus_client import CollectorRegistry
 
 from arpd.model.errors import ConfigError
-from arpd.web.access import Access, exposure
-from arpd.web.http_metrics import HttpCounts
+from arpd.web.access import Access, HttpCounts, exposure
 from arpd.web.web_config import Protection, load_protection
-from tests.unit.web_world import HASH, Clock, make_certificate
+from tests.unit.web_world import HASH, make_certificate
 
 FAULT = re.compile(r".+?:[1-9]\d*:[1-9]\d*: [^ ].*?: .+; .+")
 SECRET = "$2y$10$short-and-secret"
@@ -128,10 +127,10 @@ def test_the_shipped_example_is_only_comments_and_right(certificates):
 def access(folder):
     path = folder / "web.yaml"
     path.write_text(f"{TLS}}}\nbasic_auth_users: {{alice: {HASH}}}")
-    clock, registry = Clock(), CollectorRegistry()
-    access = Access(path, counts=HttpCounts(registry), clock=clock)
+    registry = CollectorRegistry()
+    access = Access(path, counts=HttpCounts(registry))
     is_good = lambda: registry.get_sample_value("arpd_http_config_last_reload_successful")  # noqa: E731
-    return SimpleNamespace(access=access, follow=access.follow, path=path, clock=clock, is_good=is_good)
+    return SimpleNamespace(access=access, follow=access.follow, path=path, is_good=is_good)
 
 
 def test_users_and_certificates_are_read_again_when_they_change(access, folder):
@@ -153,7 +152,6 @@ def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
     first = access.access.protection
     access.path.write_text("basic_auth_users: {alice: x}")
     for _ in range(3):
-        access.clock.now_s += 100.0
         assert not access.follow()
     assert access.access.protection is first
     assert access.is_good() == 0
@@ -174,7 +172,6 @@ def test_a_certificate_that_vanishes_while_it_is_read_is_read_later(access, monk
     with monkeypatch.context() as patched:
         patched.setattr(ssl.SSLContext, "load_cert_chain", vanish)
         assert not access.follow()
-    access.clock.now_s += 100.0
     assert access.follow()
     assert set(access.access.protection.users) == {b"bob"}
 
