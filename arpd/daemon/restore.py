@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from arpd.govern.progress import paced_restore_plan, progress, restore_plan
+from arpd.govern.progress import progress
+from arpd.model.plan import QosPlan, TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.daemon.world import World
+    from arpd.model.endpoints import PublisherState
     from arpd.model.observation import Observation
 
 _RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is told
@@ -39,24 +42,31 @@ def restore(
     -------
     Number of publishers that did not confirm in time.
     """
-    begun_s = clock()
-    plan_of = paced_restore_plan
-    while True:
-        now_s = clock()
-        observation = observe(now_s)
-        if observation.active_daemon:
-            return 0  # the plan in force is another daemon's
-        # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
-        publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
-        generation = max([generation, *(publisher.generation for publisher in publishers)])
-        plan = plan_of(publishers, generation=generation)
-        come = progress(publishers, plan)
-        missing = len(publishers) - come.confirmed
-        is_done, spent_s = not (missing or come.missing), now_s - begun_s
-        if plan_of is paced_restore_plan and (is_done or spent_s > _RESTORE_S):
-            plan_of = restore_plan
-            continue
-        if is_done or spent_s > _RESTORE_S + _UNPACE_S:
-            return missing
-        world.apply(plan, lease_s=0.0, missing=come.missing, now_s=now_s)
-        wait()
+    begun_s, missing = clock(), 0
+    for is_paced, until_s in ((True, _RESTORE_S), (False, _RESTORE_S + _UNPACE_S)):
+        while True:
+            now_s = clock()
+            observation = observe(now_s)
+            if observation.active_daemon:
+                return 0  # the plan in force is another daemon's
+            # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
+            publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
+            generation = max([generation, *(publisher.generation for publisher in publishers)])
+            rows = {publisher.topic: _own_qos(publisher, is_paced=is_paced) for publisher in publishers}
+            plan = QosPlan(generation=generation, topics=rows)
+            come = progress(publishers, plan)
+            missing = len(publishers) - come.confirmed
+            if not (missing or come.missing) or now_s - begun_s > until_s:
+                break
+            world.apply(plan, lease_s=0.0, missing=come.missing, now_s=now_s)
+            wait()
+    return missing
+
+
+def _own_qos(publisher: PublisherState, *, is_paced: bool) -> TopicPlan:
+    return TopicPlan(
+        rate_hz=publisher.paced_rate_hz if is_paced else math.inf,
+        min_rate_hz=0.0,
+        deadline_ns=publisher.baseline_deadline_ns,
+        depth=publisher.baseline_depth,
+    )

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from arpd.daemon.world import CapacityEstimator
     from arpd.model.settings import LinkDomain, Settings
+    from arpd.sim.baselines import Oracle
 
 log = logging.getLogger(__name__)
 
 
-def run_daemon(*, config_path: Path, log_level: str, estimator: CapacityEstimator | None = None) -> int:
+def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = None) -> int:
     """Run the daemon until SIGTERM or SIGINT.
 
     Parameters

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from arpd.daemon.supervisor import LEAST_PAUSE_S
 from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import HEARTBEAT_S
-from arpd.sim.baselines import Truth
 from arpd.sim.demo import demo_topics
 from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
 from arpd.sim.link import LinkModel, Loopback, SimulatedLink
@@ -26,16 +26,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeAlias
 
-    from arpd.daemon.world import CapacityEstimator
-    from arpd.model.link import LinkState
     from arpd.model.settings import Settings
+    from arpd.sim.baselines import Oracle
     from arpd.sim.link import ForeignFlow
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
     from arpd.sim.schedule import RateSchedule
     from arpd.sim.socket import Carrier
 
-    EstimatorMaker: TypeAlias = Callable[[Callable[[], Truth]], CapacityEstimator]
+    EstimatorMaker: TypeAlias = Callable[[Callable[[], LinkEstimate]], Oracle]
 
 _RUN_STARTS_S = 1000.0  # monotonic time at which run time is 0
 _LEAD_S = 3.0  # daemon, relay and peer run this long before the sensors publish
@@ -295,22 +294,26 @@ class _Run:
             topics=tuple(publisher.result() for publisher in self._publishers), moments=tuple(self._moments)
         )
 
-    def _truth(self) -> Truth:
+    def _truth(self) -> LinkEstimate:
         """Return the true state of the link: the rates of the next 0.2 s, and the queue and the delivery of now."""
         run_s = max(0.0, self._timeline.now_s - _RUN_STARTS_S)
         rate = self._mean_rate(run_s, _TRUTH_S)
-        return Truth(
+        is_out = rate <= 0 or self._model.is_out(run_s)
+        return LinkEstimate(
             capacity_bytes_per_second=rate,
+            kind=CapacityKind.CONFIGURED,
+            state=LinkState.OUTAGE if is_out else LinkState.STEADY,
+            age_s=0.0,
+            evidence="the truth",
             queue_delay_s=self._up.queue_delay_s,
             cross_traffic_bytes_per_second=sum(
                 flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._cross_traffic
             )
             / _TRUTH_S,
-            delivered_bytes_per_second=self._delivered_bytes_per_second(),
+            delivery_rate_bytes_per_second=self._delivered_bytes_per_second(),
             # Aggregates are full on a busy link.
             packet_overhead_s=self._model.packet_overhead_s / self._model.aggregate_packets,
-            loss_ratio=self._model.loss_ratio(run_s),
-            is_out=rate <= 0 or self._model.is_out(run_s),
+            loss_ratio=None if is_out else self._model.loss_ratio(run_s),
         )
 
     def _mean_rate(self, start_s: float, span_s: float) -> float:

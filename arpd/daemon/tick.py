@@ -28,20 +28,21 @@ from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_tra
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.daemon.world import CapacityEstimator, World
+    from arpd.daemon.world import World
     from arpd.model.allocation import Topic
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
     from arpd.report.events import Event
     from arpd.report.history import History
+    from arpd.sim.baselines import Oracle
+    from arpd.solve.link import Link
 
 log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 _RESTING_TICK_S = 0.25  # while next to nothing crosses the link
-_LOOK_S = 0.03  # while the link is well used, when a fall fills its queue within a few of these
-_LATE_S = 0.005  # a thread wakes up late
+_BUSY_TICK_S = 0.03  # while it is well used, when a fall fills its queue within a few of these
 _WELL_USED = 0.5
 _PLAN_S = 0.49  # twice a second: ticks come every 0.1 s or sooner, and the nearest one plans
 _MOST_REST_S = 2.0  # planning that something else held up is no measure
@@ -85,7 +86,7 @@ class Daemon:
         config_path: str = "",
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
-        estimator: CapacityEstimator | None = None,
+        estimator: Estimator | Oracle | None = None,
         tell: Callable[[Event], None] = lambda _event: None,
     ) -> None:
         self.interface = interface
@@ -96,13 +97,12 @@ class Daemon:
         self._has_interface = False  # whether it was ever there
         self._clock = clock
         self._wall_clock = wall_clock
-        self._estimator: CapacityEstimator = estimator or Estimator(settings.link)
+        self._estimator = estimator or Estimator(settings.link)
         self._budget = Budget()
         self._program = Program(settings, clock=self._clock)
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._planned = Planned()
-        self._ticked_s = -math.inf  # when the last tick that finished began
         self._planned_s, self._took_s = -math.inf, 0.0  # the same of the last that planned, and how long it took
         self._facts: tuple[object, ...] = ()  # that it rests on
 
@@ -122,8 +122,9 @@ class Daemon:
         if self.snapshot is None:
             return TICK_S
         link = self.snapshot.link
-        is_busy = link.delivery_rate_bytes_per_second > _WELL_USED * link.capacity_bytes_per_second
-        return _LOOK_S if is_busy else TICK_S
+        if link.delivery_rate_bytes_per_second > _WELL_USED * link.capacity_bytes_per_second:
+            return _BUSY_TICK_S
+        return _RESTING_TICK_S if link.is_resting else TICK_S
 
     @property
     def history(self) -> History:
@@ -131,12 +132,7 @@ class Daemon:
         return self.record.history
 
     def tick(self, now_s: float) -> Decision:
-        """Observe → estimate → price; twice a second, or on news, also solve → govern → apply → report.
-
-        Before its time a tick is one look, and ends where that shows nothing new.
-        """
-        if self._may_end_at_a_look(now_s):
-            return replace(self._planned.decision, level_changed=False, reason="")
+        """Observe → estimate → price; twice a second, or on news, also solve → govern → apply → report."""
         seen = self._observe(now_s)
         link = self._estimator.update(seen)
         budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom, topics=self._planned.topics)
@@ -150,15 +146,7 @@ class Daemon:
         self._note(now_s, seen, link)
         if is_planning:
             self._count(now_s, seen, link)
-        self._ticked_s = now_s
         return self._planned.decision
-
-    def _may_end_at_a_look(self, now_s: float) -> bool:
-        is_resting = self.snapshot is not None and self.snapshot.link.is_resting
-        if now_s - self._ticked_s >= (_RESTING_TICK_S if is_resting else TICK_S) - _LATE_S:
-            return False
-        glance = self._world.glance()
-        return not glance.has_reports and not self._estimator.needs_look(now_s, glance.backlog_bytes)
 
     def _observe(self, now_s: float) -> Observation:
         seen = self._world.observe(now_s)
@@ -183,63 +171,51 @@ class Daemon:
         """Solve for the budget of this moment and for the lasting one, let the governor decide, and send its plan."""
         traffic = measured_traffic(seen.publishers) if self._estimator.has_evidence else ()
         topics = rows_of_traffic(traffic, self.settings)
-        memory_bytes, crossing = memory_budget_bytes(seen.memory, self.settings.program), _crossing(seen)
+        memory_bytes = memory_budget_bytes(seen.memory, self.settings.program)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
         capacity, overhead_s = self._budget.lasting
-        lasting = self._program.solve(capacity, topics, memory_bytes, packet_overhead_s=overhead_s, crossing=crossing)
-        rates = self._program.follow(
-            lasting,
-            link.available_bytes_per_second,
-            topics,
-            memory_bytes,
-            packet_overhead_s=link.available_packet_overhead_s,
-            share=_share(budget, link),
-            crossing=crossing,
+        lasting = self._program.solve(
+            capacity, topics, memory_bytes, packet_overhead_s=overhead_s, crossing=_crossing(seen)
         )
-        decision = self._decide(now_s, seen, link, rates=rates, lasting=lasting, topics=topics)
+        rates = self._program.follow(lasting, self._of_now(topics, seen, link, budget), memory_bytes)
+        if seen.active_daemon:
+            decision = self._governor.stand_by()
+        else:
+            decision = self._governor.decide(
+                now_s,
+                state=link.state,
+                rates=rates,
+                lasting=lasting,
+                topics=topics,
+                publishers=seen.publishers,
+                participants=max(1, seen.remote_participants),
+            )
         come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
-        if not seen.active_daemon:
-            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
-        self._planned = Planned(topics, rates, decision, come)
-
-    def _decide(
-        self,
-        now_s: float,
-        seen: Observation,
-        link: LinkEstimate,
-        *,
-        rates: Allocation,
-        lasting: Allocation,
-        topics: Sequence[Topic],
-    ) -> Decision:
         if seen.active_daemon:
             self._world.stand_by()
-            return self._governor.stand_by()
-        return self._governor.decide(
-            now_s,
-            state=link.state,
-            rates=rates,
-            lasting=lasting,
-            topics=topics,
-            publishers=seen.publishers,
-            participants=max(1, seen.remote_participants),
-        )
+        else:
+            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
+        self._planned = Planned(topics, rates, decision, come)
 
     def _follow(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Let the price follow the link, by the closed form; the plan in force stays."""
         topics, allocation, decision, come = self._planned
         price = decision.price
         if not seen.active_daemon:
-            price = self._program.price(
-                link.available_bytes_per_second,
-                topics,
-                packet_overhead_s=link.available_packet_overhead_s,
-                share=_share(budget, link),
-                crossing=_crossing(seen),
-            )
+            price = self._of_now(topics, seen, link, budget).price() if topics else None
             allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
         decision = replace(decision, price=price, level_changed=False, reason="")
         self._planned = Planned(topics, allocation, decision, come)
+
+    def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:
+        """Return the rows on the link of this moment."""
+        return self._program.on_link(
+            link.available_bytes_per_second,
+            topics,
+            packet_overhead_s=link.available_packet_overhead_s,
+            share=_share(budget, link),
+            crossing=_crossing(seen),
+        )
 
     def _send(self, now_s: float, link: LinkEstimate, budget: float) -> None:
         """Send the price where it is due, and the probes that the estimator wants."""

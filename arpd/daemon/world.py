@@ -1,4 +1,4 @@
-"""Protocols of the daemon's surroundings: the world it observes and acts on, and its estimator."""
+"""The world that a daemon observes and acts on."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from arpd.model.link import LinkEstimate
-    from arpd.model.observation import Glance, Observation
+    from arpd.model.observation import Observation
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
-    from arpd.model.settings import GraphSettings, LinkSettings
+    from arpd.model.settings import GraphSettings
 
 
 class World(Protocol):
@@ -20,9 +19,6 @@ class World(Protocol):
 
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""
-
-    def glance(self) -> Glance:
-        """Return what shows whether a tick is worth its cost; costs little."""
 
     def set_price(self, price: Price) -> None:
         """Send the price of the link to every publisher."""
@@ -50,23 +46,3 @@ class World(Protocol):
 
     def probes_sent(self) -> tuple[int, int]:
         """Count probes, and their wire bytes."""
-
-
-class CapacityEstimator(Protocol):
-    """Estimator of the capacity: `arpd.estimate.estimator`, or another one in a simulation."""
-
-    @property
-    def has_evidence(self) -> bool:
-        """True once the first plan may be made."""
-
-    def update(self, observation: Observation) -> LinkEstimate:
-        """Take in one observation and return the estimate."""
-
-    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
-        """Return whether an update now may say more than the last one, besides reports."""
-
-    def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
-        """Return the probes to send now; ``is_short`` while topics ask for more than the link is believed to carry."""
-
-    def reconfigure(self, settings: LinkSettings) -> None:
-        """Take new settings; measurements stay."""

@@ -70,7 +70,6 @@ class Estimator:
         self._silence = Silence()
         self._publishers: Sequence[PublisherState] = ()  # whose largest sample is known
         self._largest_bytes = 0.0  # on the link, in all its copies
-        self._empty_looks = 0  # at the queue of this host's interface, since the last update
         self._pinged: list[float] = []
         self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
         self._queues = QueuePast(parameters.BUSY_AFTER_S)
@@ -126,28 +125,9 @@ class Estimator:
         else:
             self._forget_queue()
             self._state = self._judge_alone(observation)
-        self._empty_looks = 0
         if self._state is LinkState.OUTAGE and not was_out:
             self._belief.events_by_kind[EstimatorEvent.OUTAGE] += 1
         return self._estimate(now_s, cross_traffic)
-
-    def needs_look(self, now_s: float, backlog_bytes: int | None) -> bool:
-        """Return whether a backlog here, a late ping, or a probe that is due is worth an update, besides reports.
-
-        The backlog is that before the link interface, None where the kernel does not tell it (bytes).
-        """
-        # What leaves between two looks at waiting bytes is a reading of the capacity.
-        worth_bytes = min(self._burst_bytes, parameters.WORTH_S * self._capacity)
-        if (
-            self._state not in {LinkState.STEADY, LinkState.APP_LIMITED}
-            or self._queue_delay_s > self._queue_low_s
-            or max(backlog_bytes or 0, self._local.waiting_bytes) > worth_bytes
-            or self._schedule.is_due(now_s)
-            or self._peers.overdue_s(now_s) > parameters.OVERDUE_S
-        ):
-            return True
-        self._empty_looks += backlog_bytes == 0
-        return False
 
     def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
         """Return the probes to send now: pings for the delay, trains for the capacity where due and affordable.
@@ -309,11 +289,7 @@ class Estimator:
             weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
         if is_look:
-            believed.ping(delivered, was_idle=True, weight=self._empty_weight, overhead=overhead)
-
-    @property
-    def _empty_weight(self) -> float:
-        return (1 + self._empty_looks) * parameters.LOOK_WEIGHT
+            believed.ping(delivered, was_idle=True, weight=parameters.LOOK_WEIGHT, overhead=overhead)
 
     def _judge(self, now_s: float) -> LinkState:
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
@@ -335,7 +311,7 @@ class Estimator:
             self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
         elif self._local.is_empty and self._local.is_where_it_waits and sent > parameters.USED * self._belief.capacity:
             believed.wait(now_s)
-            believed.ping(sent, was_idle=True, weight=self._empty_weight)
+            believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
             if self._belief.kind is CapacityKind.LOCAL:
                 self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED

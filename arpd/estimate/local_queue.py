@@ -41,7 +41,6 @@ class LocalQueue:
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0  # more when the queue stood at every recent look, so the interface was never idle
         self.is_empty = False
-        self.waiting_bytes = 0  # at the last look
 
     @property
     def busy_rate(self) -> float | None:
@@ -75,7 +74,7 @@ class LocalQueue:
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
         """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
-        self.handed_bytes, self.backlog_s, self.is_empty, self.waiting_bytes = None, 0.0, False, 0
+        self.handed_bytes, self.backlog_s, self.is_empty = None, 0.0, False
         self.is_where_it_waits = now_s - self._waited_s < QUEUED_HERE_S
         if counters is None or not counters.is_up:
             self._backlog.clear()
@@ -88,7 +87,7 @@ class LocalQueue:
         self._sent.append((now_s, counters.tx_bytes))
         while now_s - self._sent[0][0] > _SENT_MEMORY_S:
             self._sent.popleft()
-        backlog = self.waiting_bytes = counters.backlog_bytes or 0
+        backlog = counters.backlog_bytes or 0
         self.is_empty = counters.backlog_bytes == 0
         self.handed_bytes = counters.tx_bytes + backlog
         self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)

@@ -22,8 +22,6 @@ _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of the
 # have come meanwhile, to a link that was idle.
 _LEAST_INTERVAL_S = 0.05
 _HELD_INTERVAL_S = 1.5 * PROMPT_S  # a shorter report had to wait before it left
-_WAITED_S = 0.3  # a report that is later than this waited for the link, not behind other reports
-_RESUMING_S = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,18 +46,16 @@ class QueueGauge:
 
     Parameters
     ----------
-    before : gauge of the same peer whose measurements are forgotten
+    reported_s : last report of the peer, whose other measurements are forgotten (s)
     """
 
-    def __init__(self, before: QueueGauge | None = None) -> None:
-        self.reported_s: float = before.reported_s if before else -math.inf
+    def __init__(self, reported_s: float = -math.inf) -> None:
+        self.reported_s = reported_s
         self.delay_s = 0.0
         self.return_delay_s: float | None = None
         self.backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S, least_span_s=_LEAST_INTERVAL_S)
         self._delays: deque[tuple[float, float]] = deque()
         self._return_delays: deque[tuple[float, float]] = deque()
-        self._usual_return_s: float = before.least_return_s if before else math.inf
-        self._resumed_s = None if before else -math.inf  # first report after ``before``, None until it comes
         self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
         self._under_way: deque[SentPing] = deque(maxlen=100)  # trains are not: their reports wait for further probes
         self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
@@ -73,11 +69,6 @@ class QueueGauge:
         """Note a ping that leaves."""
         self._under_way.append(ping)
 
-    @property
-    def least_return_s(self) -> float:
-        """Least recent one-way delay of a report, with its unknown offset (s)."""
-        return min((delay for _, delay in self._return_delays), default=self._usual_return_s)
-
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
         """Note a report.
 
@@ -87,8 +78,7 @@ class QueueGauge:
         """
         before_s, now_s = self.reported_s, report.received_at_s
         self.reported_s = now_s
-        if not self._waited_out(report):
-            self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
+        self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
         window_s = parameters.DELIVERY_WINDOW_S - report.interval_s / 2
         while len(self._deliveries) > 1 and now_s - self._deliveries[0][0] > window_s:
             self._deliveries.popleft()
@@ -128,17 +118,6 @@ class QueueGauge:
         has_left = self._last_ping is not None and self._last_ping.sent_s > before_s
         if report.interval_s < way_s or has_left:
             self.backlog.busy_rate = None
-
-    def _waited_out(self, report: PeerReport) -> bool:
-        """Return whether a report waited for the end of an outage, so its counts describe the link before.
-
-        Later than `_RESUMING_S` the delay may come from a peer's clock that was set.
-        """
-        if self._resumed_s is None:
-            self._resumed_s = report.received_at_s
-        if report.return_delay_s is None or report.received_at_s - self._resumed_s > _RESUMING_S:
-            return False
-        return report.return_delay_s - self._usual_return_s > _WAITED_S
 
     def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
         """Note a one-way delay with its unknown offset, and return its excess over the recent least (s)."""
@@ -231,7 +210,7 @@ class PeerGauges:
 
     def forget(self) -> None:
         """Forget all measurements of every peer: they describe another link, or another queue."""
-        self._gauges = {name: QueueGauge(gauge) for name, gauge in self._gauges.items()}
+        self._gauges = {name: QueueGauge(gauge.reported_s) for name, gauge in self._gauges.items()}
 
     def delay_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
         """Return the longest queue now by the pings, also by one that has not arrived yet (s).
@@ -247,10 +226,6 @@ class PeerGauges:
             ),
             default=0.0,
         )
-
-    def overdue_s(self, now_s: float) -> float:
-        """Return how much longer than usual a ping is on its way (s)."""
-        return max((gauge.overdue_s(now_s) for gauge in self._gauges.values()), default=0.0)
 
     @property
     def busy_rate(self) -> float | None:

@@ -130,10 +130,6 @@ class ProbeSchedule:
                 self._small_at_s = now_s + PAIR_S
             yield self._request(packets, PACKET_BYTES)
 
-    def is_due(self, now_s: float) -> bool:
-        """Return whether a ping, or the small train of a pair, is due."""
-        return now_s >= min(self._ping_at_s, self._small_at_s)
-
     def _spend(self, cost: float, *, is_measured: bool) -> None:
         # The first trains may exceed the budget, and this debt is not paid back.
         self._saved_bytes = self._saved_bytes - cost if is_measured else max(0.0, self._saved_bytes - cost)

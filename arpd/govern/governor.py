@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.govern.classes import Move
@@ -34,13 +34,11 @@ _EXCESS = 0.1  # of the memory that histories under the plan may take; less is n
 _NO_PLAN = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
 class _Look:
     """What a plan would be made for now.
 
-    Parameters
+    Attributes
     ----------
-    lasting : division of the budget that holds most of the time
     requests : tightest deadline that readers request, by topic (ns)
     silent : topics that nobody publishes on
     in_force : row of every topic, of the plan or as announced
@@ -48,16 +46,26 @@ class _Look:
     moves : where QoS under the plan should go; a topic that is missing is where it should be
     """
 
-    now_s: float
-    lasting: Allocation
-    topics: Sequence[Topic]
-    publishers: Sequence[PublisherState]
-    participants: int
-    requests: Mapping[str, int]
-    silent: frozenset[str]
-    in_force: Mapping[str, TopicPlan]
-    wanted: Mapping[str, TopicPlan]
-    moves: Mapping[str, Move]
+    def __init__(
+        self,
+        now_s: float,
+        *,
+        lasting: Allocation,
+        topics: Sequence[Topic],
+        publishers: Sequence[PublisherState],
+        participants: int,
+        planned: Mapping[str, TopicPlan],
+        settings: Settings,
+    ) -> None:
+        self.now_s, self.lasting, self.topics = now_s, lasting, topics
+        self.publishers, self.participants = publishers, participants
+        self.requests, self.silent = tightest_requests(publishers), silent_topics(publishers)
+        others = [publisher for publisher in publishers if publisher.topic not in planned]
+        self.in_force = {**_rows_in_force(others), **planned}
+        # After a restart the rows of the predecessor count as the previous plan.
+        previous = {**_rows_in_force(other for other in others if other.generation > 0), **planned}
+        self.wanted, moves = rows_and_moves(lasting, topics, publishers, previous=previous, settings=settings)
+        self.moves = {name: move for name, move in moves.items() if name in planned}
 
     @property
     def sharing(self) -> int:
@@ -135,7 +143,15 @@ class Governor:
         known, self._refusals = self._refusals, frozenset()  # a refusal that lasts counts once
         cause = ""
         if lasting.topics:
-            look = self._look(now_s, lasting, topics, publishers, participants)
+            look = _Look(
+                now_s,
+                lasting=lasting,
+                topics=topics,
+                publishers=publishers,
+                participants=participants,
+                planned=self.plan.topics,
+                settings=self._settings,
+            )
             self._swaps.fill(now_s, lasting.capacity_bytes_per_second)
             cause = self._follow_memory(look) or self._follow(look, state)
             if self._owed:
@@ -148,37 +164,6 @@ class Governor:
             level_changed=bool(cause),
             reason=cause,
             refusals=tuple(sorted(self._refusals)),
-        )
-
-    def _look(
-        self,
-        now_s: float,
-        lasting: Allocation,
-        topics: Sequence[Topic],
-        publishers: Sequence[PublisherState],
-        participants: int,
-    ) -> _Look:
-        planned = self.plan.topics
-        others = [publisher for publisher in publishers if publisher.topic not in planned]
-        wanted, moves = rows_and_moves(
-            lasting,
-            topics,
-            publishers,
-            # After a restart the rows of the predecessor count as the previous plan.
-            previous={**_rows_in_force(other for other in others if other.generation > 0), **planned},
-            settings=self._settings,
-        )
-        return _Look(
-            now_s=now_s,
-            lasting=lasting,
-            topics=topics,
-            publishers=publishers,
-            participants=participants,
-            requests=tightest_requests(publishers),
-            silent=silent_topics(publishers),
-            in_force={**_rows_in_force(others), **planned},
-            wanted=wanted,
-            moves={name: move for name, move in moves.items() if name in planned},
         )
 
     def _follow_memory(self, look: _Look) -> str:

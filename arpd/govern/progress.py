@@ -1,4 +1,4 @@
-"""How far a plan has come, by what nodes tell; and the plans that restore publishers."""
+"""How far a plan has come, by what nodes tell."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import QosPlan, TopicPlan
-
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import QosPlan, TopicPlan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,24 +60,3 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
         return True
     same_depth = publisher.keeps_all or publisher.depth == row.depth
     return same_depth and publisher.deadline_ns == row.deadline_ns
-
-
-def restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return the plan that gives every publisher its application's QoS back, unpaced."""
-    rows = {publisher.topic: _own_qos(publisher, rate_hz=math.inf) for publisher in publishers}
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
-
-
-def paced_restore_plan(publishers: Iterable[PublisherState], *, generation: int) -> QosPlan:
-    """Return the plan that gives every publisher its application's QoS back, at the rate it has now."""
-    rows = {publisher.topic: _own_qos(publisher, rate_hz=publisher.paced_rate_hz) for publisher in publishers}
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=0.0)
-
-
-def _own_qos(publisher: PublisherState, *, rate_hz: float) -> TopicPlan:
-    return TopicPlan(
-        rate_hz=rate_hz,
-        min_rate_hz=0.0,
-        deadline_ns=publisher.baseline_deadline_ns,
-        depth=publisher.baseline_depth,
-    )

@@ -85,11 +85,6 @@ class LinkEstimate:
         available = self.available_bytes_per_second
         return self.packet_overhead_s * self.capacity_bytes_per_second / available if available > 0 else 0.0
 
-    @property
-    def is_app_limited(self) -> bool:
-        """True while traffic alone says nothing about the capacity."""
-        return self.state is LinkState.APP_LIMITED
-
 
 class EstimatorEvent(StrEnum):
     """Change of the capacity that is stated, or an outage (docs/design.md, The estimator)."""

@@ -103,17 +103,3 @@ class Observation:
     is_relay_silent: bool = False
     domain: int | None = None
     remote_participants: int = 1
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Glance:
-    """What shows whether a tick is worth its cost.
-
-    Parameters
-    ----------
-    has_reports : whether reports of peers wait
-    backlog_bytes : bytes that wait before the link interface, None where the kernel does not tell (bytes)
-    """
-
-    has_reports: bool
-    backlog_bytes: int | None

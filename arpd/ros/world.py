@@ -16,10 +16,9 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.estimate.peer_clocks import PeerClocks
 from arpd.host.interface import InterfaceReader, MemoryReader, read_speed
-from arpd.host.netlink import read_backlog
 from arpd.host.radio import Radio
 from arpd.model.endpoints import Direction, PublisherState
-from arpd.model.observation import Glance, MemoryState, MessageKind, MessageRefusal, Observation, Taken
+from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.probing import PeerReport, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
@@ -210,11 +209,6 @@ class RosControl:
             domain=self._domain,
             remote_participants=graph.remote_participants,
         )
-
-    def glance(self) -> Glance:
-        """Return what shows whether a tick is worth its cost."""
-        queue = None if self._reader.index is None else read_backlog(self._reader.index)
-        return Glance(has_reports=bool(self._reports), backlog_bytes=queue.waiting_bytes if queue else None)
 
     def _memory_state(self, now_s: float) -> MemoryState:
         read_s, state = self._memory_read

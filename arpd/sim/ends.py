@@ -18,7 +18,7 @@ from arpd.relay.link_queue import LinkQueue
 from arpd.sim.result import Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
-from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,11 +45,10 @@ class SimulatedEnd:
     """
 
     def __init__(self, timeline: Timeline, *, there: Carrier, back: Carrier, session: int) -> None:
-        self.timeline, self._there = timeline, there
+        self.timeline, self._there, self.back = timeline, there, back
         # Its participant waits for no write: what a full socket does not take is sent again.
-        socket = Socket(timeline, there, room_bytes=math.inf)
-        self.route = LinkPath(timeline=timeline, there=there, back=back, socket=socket)
-        small = SimulatedWriter(self.route, self, qos=_LINK_QOS, heartbeat_s=QUICK_HEARTBEAT_S)
+        self.socket = Socket(timeline, there, room_bytes=math.inf)
+        small = SimulatedWriter(self.socket, back, self, qos=_LINK_QOS, heartbeat_s=QUICK_HEARTBEAT_S)
         self._queue = LinkQueue(session, timeline.now_s, together=small.publish)
         self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self._alarm = Alarm(timeline, self._run)
@@ -139,7 +138,7 @@ class SimulatedLinkTopic:
         self._numbers = count()
         self._assembly = Assembly()
         self._counting = Counting(self.arrivals, end.timeline, topic.payload_bytes)
-        self._writer = SimulatedWriter(end.route, self, qos=_LINK_QOS, heartbeat_s=HEARTBEAT_S)
+        self._writer = SimulatedWriter(end.socket, end.back, self, qos=_LINK_QOS, heartbeat_s=HEARTBEAT_S)
         self._key = writer_key(topic.name)
         self._lane = Lane(self._writer.publish, has_company=True)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)

@@ -12,7 +12,7 @@ from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
 from arpd.sim.result import Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
-from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
 from arpd.solve.topics import assumed_traffic
 
 if TYPE_CHECKING:
@@ -161,13 +161,12 @@ class SimulatedPublisher:
         self._writers = 0
         self._timeline = timeline
         self._socket = Socket(timeline, there, room_bytes=room_bytes, on_free=self._free)
-        route = LinkPath(timeline=timeline, there=there, back=back, socket=self._socket)
         self._is_relayed = ingress_s > 0.0
         self._ticks = 0  # of the application's timer
         self._node = node
         self._ingress_s = ingress_s
         self._flow = Flow(
-            create=partial(self._create, route, heartbeat_s),
+            create=partial(self._create, back, heartbeat_s),
             qos=WriterQos(depth=RCLPY_DEPTH, deadline_ns=0),
             overflow=Overflow.LATEST,
             clock=lambda: timeline.now_s,
@@ -227,10 +226,10 @@ class SimulatedPublisher:
         self._service()
         self._thread.run()
 
-    def _create(self, route: LinkPath, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
+    def _create(self, back: Carrier, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
         self._writers += 1
         sink = Counting(self.arrivals, self._timeline, self.topic.payload_bytes)
-        return SimulatedWriter(route, sink, qos=qos, heartbeat_s=heartbeat_s)
+        return SimulatedWriter(self._socket, back, sink, qos=qos, heartbeat_s=heartbeat_s)
 
     def _service(self) -> None:
         if self._socket.is_full:

@@ -122,11 +122,6 @@ class Service:
         self._bytes = [0.0, *accumulate(s * r for s, r in zip(spans, self._rates, strict=False))]
         self._take(0)
 
-    def rate_at(self, t_s: float) -> float:
-        """Return the rate at a moment (bytes/s)."""
-        self.by(t_s)
-        return self._rate
-
     def by(self, t_s: float) -> float:
         """Return the bytes that the link can have carried from the origin to this moment."""
         if not self._from_s <= t_s < self._until_s:

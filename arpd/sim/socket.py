@@ -58,8 +58,8 @@ class Socket:
     def __init__(
         self, timeline: Timeline, carrier: Carrier, *, room_bytes: float, on_free: Callable[[], None] = lambda: None
     ) -> None:
-        self._timeline = timeline
-        self._carrier = carrier
+        self.timeline = timeline
+        self.carrier = carrier
         self._room_bytes = room_bytes
         self._on_free = on_free
         self._waiting: deque[_Datagrams] = deque()
@@ -92,7 +92,7 @@ class Socket:
             self._push()
 
     def _push(self) -> None:
-        now_s = self._timeline.now_s
+        now_s = self.timeline.now_s
         while self._inside and self._inside[0][0] <= now_s:
             self._inside_bytes -= self._inside.popleft()[1]
         while self._waiting:
@@ -102,13 +102,13 @@ class Socket:
             if first.is_again or first.left > _MOST_AT_ONCE or first.left * first.packet_bytes > room:
                 fits = 1 if first.is_again else min(first.left, _AT_ONCE)
                 if fits * first.packet_bytes > room and self._inside:
-                    self._timeline.at(self._inside[0][0], self._go_on)
+                    self.timeline.at(self._inside[0][0], self._go_on)
                     return
             self._put(first, fits)
 
     def _put(self, first: _Datagrams, packets: int) -> None:
         size = packets * first.packet_bytes
-        left_s = self._carrier.send(size, packets, partial(first.arrived, packets))
+        left_s = self.carrier.send(size, packets, partial(first.arrived, packets))
         self._inside.append((left_s, size))
         self._inside_bytes += size
         first.left -= packets

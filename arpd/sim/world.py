@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.estimate.receiver import Receiver, ReportSchedule
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.model.observation import Glance, MemoryState, Observation
+from arpd.model.observation import MemoryState, Observation
 from arpd.model.probing import PeerReport
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
@@ -162,10 +162,6 @@ class SimulatedWorld:
             peer_ages_s={_PEER: now_s - self._reported_s} if now_s - self._reported_s < _HEARD_S else {},
             relay=self._relay,
         )
-
-    def glance(self) -> Glance:
-        """Return what shows whether a tick is worth its cost."""
-        return Glance(has_reports=bool(self._reports), backlog_bytes=int(self._up.backlog_bytes))
 
     def _counters(self) -> LinkCounters:
         up, down = self._up, self._down

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -53,21 +52,6 @@ class Counting:
         """Count it."""
         sequence, stamp_s = SAMPLE.unpack_from(sample)
         self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LinkPath:
-    """The way from a writer to its reader, and the way back for acknowledgements.
-
-    Parameters
-    ----------
-    socket : of the participant; there the samples wait while the queue of ``there`` is full
-    """
-
-    timeline: Timeline
-    there: Carrier
-    back: Carrier
-    socket: Socket
 
 
 class _Reader:
@@ -121,13 +105,15 @@ class SimulatedWriter:
 
     Parameters
     ----------
+    socket : of the participant; there samples wait while the queue is full
+    back : way of the acknowledgements
     qos : depth (samples) and deadline (ns); the deadline only changes the count of missed periods
     heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
     """
 
-    def __init__(self, route: LinkPath, sink: Sink, *, qos: WriterQos, heartbeat_s: float) -> None:
-        self._timeline, self._there, self._back = route.timeline, route.there, route.back
-        self._socket = route.socket
+    def __init__(self, socket: Socket, back: Carrier, sink: Sink, *, qos: WriterQos, heartbeat_s: float) -> None:
+        self._timeline, self._there, self._back = socket.timeline, socket.carrier, back
+        self._socket = socket
         self._depth = qos.depth
         self._deadline_s = qos.deadline_ns / 1e9 or math.inf
         self._published_s = math.inf  # time of the last sample

@@ -13,7 +13,7 @@ import numpy as np
 
 from arpd.model.allocation import Binding, Uniform
 from arpd.model.plan import NANOSECONDS_PER_SECOND
-from arpd.solve.level import TOLERANCE, Yielding, left
+from arpd.solve.level import TOLERANCE, Yielding, left, water_level
 from arpd.solve.link import NO_CAPACITY, Division, Link
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class AlikeOnLink(Link):
         self._rate_hz = min(self._even_hz, max(self._floor_hz, self._even_hz - self._floor_hz))
         self.floors_hz = np.full_like(self.costs_s, self._floor_hz)
 
-    def price(self, find: Find) -> Price:  # noqa: ARG002 - the optimum is a vertex
+    def price(self, find: Find = water_level) -> Price:  # noqa: ARG002 - the optimum is a vertex
         """Return the price at which every row of a uniform plan has the rate R."""
         kept = min(1.0, self._rate_hz / self._floor_hz) if self._floor_hz else float(self.budget > 0.0)
         level = self._rate_hz * _WIRE_BYTES / (_WEIGHT * (self.capacity or 1.0))

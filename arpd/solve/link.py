@@ -9,7 +9,7 @@ import numpy as np
 
 from arpd.model.allocation import Binding
 from arpd.model.price import Price
-from arpd.solve.level import TOLERANCE, Yielding, yielding
+from arpd.solve.level import TOLERANCE, Yielding, water_level, yielding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -77,7 +77,7 @@ class Link:
         self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(rows.wishes_hz, 2.0 / self.costs_s))
         self.budget = share if capacity and share >= _LEAST_SHARE else 0.0
 
-    def price(self, find: Find) -> Price:
+    def price(self, find: Find = water_level) -> Price:
         """Return the price of the budget: ν, or who gives way where the floors do not fit."""
         rows, low = self.rows, self.costs_s * self.floors_hz
         if not self.budget:

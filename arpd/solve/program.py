@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from arpd.model.allocation import Topic
-    from arpd.model.price import Price
     from arpd.model.settings import Settings
     from arpd.solve.level import Column
     from arpd.solve.link import Division, Find
@@ -100,28 +99,19 @@ class Program:
             answered.update([backend] if backend else ())
             return level
 
-        link = self._link(capacity_bytes_per_second, topics, overhead_s, share, crossing)
+        link = self.on_link(
+            capacity_bytes_per_second, topics, packet_overhead_s=overhead_s, share=share, crossing=crossing
+        )
         found = _divided(link, memory_budget_bytes, find)
         backend = answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM
         return replace(found, backend=backend, solve_s=self._clock() - started_s)
 
-    def follow(
-        self,
-        lasting: Allocation,
-        capacity_bytes_per_second: float,
-        topics: Sequence[Topic],
-        memory_budget_bytes: float,
-        *,
-        packet_overhead_s: float,
-        share: float,
-        crossing: int = 0,
-    ) -> Allocation:
-        """Divide the link of this moment by the closed form; `solve`, which explains the rest, gave what lasts."""
-        link = self._link(capacity_bytes_per_second, topics, packet_overhead_s, share, crossing)
+    def follow(self, lasting: Allocation, link: Link, memory_budget_bytes: float) -> Allocation:
+        """Divide the link of this moment by the closed form; `solve` gave what lasts."""
         found = _divided(link, memory_budget_bytes, water_level)
         return replace(found, backend=lasting.backend, solve_s=lasting.solve_s)
 
-    def price(
+    def on_link(
         self,
         capacity_bytes_per_second: float,
         topics: Sequence[Topic],
@@ -129,20 +119,16 @@ class Program:
         packet_overhead_s: float,
         share: float,
         crossing: int = 0,
-    ) -> Price | None:
-        """Return the price that `solve` would give, by the closed form alone; None without topics."""
-        if not topics:
-            return None
-        return self._link(capacity_bytes_per_second, topics, packet_overhead_s, share, crossing).price(water_level)
-
-    def _link(self, capacity: float, topics: Sequence[Topic], overhead_s: float, share: float, crossing: int) -> Link:
+    ) -> Link:
+        """Return the rows on a link, with the price of the closed form; `solve` explains the arguments."""
+        capacity = capacity_bytes_per_second
         if not (0.0 <= capacity < math.inf and 0.0 <= share <= 1.0):
             raise ValueError(f"capacity {capacity!r} must be ≥ 0, and share {share!r} within 0..1")
         if topics is not self._rows.topics:
             self._rows = Rows(topics)
         if topics and self._settings.program.policy is Policy.UNIFORM:
-            return AlikeOnLink(self._rows, capacity, overhead_s, share, crossing=crossing)
-        return Link(self._rows, capacity, overhead_s, share)
+            return AlikeOnLink(self._rows, capacity, packet_overhead_s, share, crossing=crossing)
+        return Link(self._rows, capacity, packet_overhead_s, share)
 
 
 def _divided(link: Link, memory_bytes: float, find: Find) -> Allocation:

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING
 
 from arpd.daemon.run import run_daemon
 from arpd.host.interface import read_counters
-from arpd.sim.baselines import Oracle, Truth
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.sim.baselines import Oracle
 from arpd.sim.schedule import RateSchedule, RateStep, Service
 from scripts.bench.links import at
 from scripts.netns.simlink import INTERFACE
@@ -55,7 +56,7 @@ class Witness:
         steps = (RateStep(start_s=start_s, rate_bytes_per_second=rate) for start_s, rate, _ in self._course)
         self._service = Service(RateSchedule(steps=tuple(steps)), 0.0)
 
-    def truth(self) -> Truth:
+    def truth(self) -> LinkEstimate:
         """Return the truth of now."""
         if math.isinf(self._started_s):
             self._read()
@@ -69,12 +70,15 @@ class Witness:
         span_s = self._left[-1][0] - self._left[0][0] if self._left else 0.0
         elapsed_s = max(0.0, now_s - self._started_s)
         carried, loss = self._service.by(elapsed_s), at(self._course, elapsed_s)[1]
-        return Truth(
+        return LinkEstimate(
+            kind=CapacityKind.CONFIGURED,
+            state=LinkState.OUTAGE if loss >= 1.0 else LinkState.STEADY,
+            age_s=0.0,
+            evidence="the truth",
             capacity_bytes_per_second=(self._service.by(elapsed_s + AHEAD_S) - carried) / AHEAD_S,
             queue_delay_s=self._service.when(carried + waiting_bytes) - elapsed_s if waiting_bytes else 0.0,
-            delivered_bytes_per_second=(self._left[-1][1] - self._left[0][1]) / span_s if span_s > 0 else 0.0,
-            loss_ratio=loss,
-            is_out=loss >= 1.0,
+            delivery_rate_bytes_per_second=(self._left[-1][1] - self._left[0][1]) / span_s if span_s > 0 else 0.0,
+            loss_ratio=None if loss >= 1.0 else loss,
         )
 
 

@@ -132,9 +132,6 @@ class KnownLink:
     has_evidence = True
     capacity, state = 1e6, LinkState.STEADY
 
-    def needs_look(self, _now_s, _backlog_bytes):
-        return True
-
     def update(self, _observation):
         return replace(LINK, capacity_bytes_per_second=self.capacity, state=self.state)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from arpd.model.observation import Glance, MemoryState
+from arpd.model.observation import MemoryState
 from arpd.model.settings import GraphSettings
 from tests.sample_link import INTERFACE, observation
 
 
 class World:
-    """Publishers that take each plan a while after it was sent; a daemon that looks has news at every glance.
+    """Publishers that take each plan a while after it was sent.
 
     Parameters
     ----------
@@ -69,9 +69,6 @@ class World:
 
     def stand_by(self):
         self.stood_by = True
-
-    def glance(self):
-        return Glance(has_reports=True, backlog_bytes=None)
 
     def probes_sent(self):
         return 0, 0

@@ -293,20 +293,6 @@ def test_a_busy_link_that_shows_no_queue_carries_more():
     assert believed([], late=0) == believed([], late=9)  # small samples leave no queue for a ping
 
 
-# -- between two updates
-
-
-def test_only_what_may_be_news_is_worth_an_update():
-    """A backlog longer than a burst, a late ping and a probe that is due are; an idle queue and a burst are not."""
-    link = Link().measured()
-    link.ticks(20)
-    looks = {backlog: link.estimator.needs_look(link.now_s, backlog) for backlog in (None, 0, 15_000, 15_001)}
-    assert looks == {None: False, 0: False, 15_000: False, 15_001: True}
-    assert link.estimator.needs_look(link.now_s + 0.2, 0)  # the next ping is due
-    link.tick(silent=True)
-    assert [link.estimator.needs_look(link.now_s + late_s, 0) for late_s in (0.0, 0.07)] == [False, True]
-
-
 # -- no peer
 
 
@@ -415,7 +401,6 @@ def test_a_link_in_use_is_steady_and_an_idle_one_app_limited(part, state):
         link.ticks(4, rate=part * FIRST)
         estimate = link.tick(rate=part * FIRST, trains=[FIRST])
     assert estimate.state is state
-    assert estimate.is_app_limited == (state is LinkState.APP_LIMITED)
 
 
 def test_every_change_is_counted_by_its_kind():

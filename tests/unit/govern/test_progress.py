@@ -1,4 +1,4 @@
-"""How far a plan has come by what nodes tell, and the plans that restore them."""
+"""How far a plan has come by what nodes tell."""
 
 import math
 from dataclasses import replace
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.govern.progress import is_confirmed, progress, restore_plan
-from arpd.model.endpoints import Direction, RefusalReason
+from arpd.govern.progress import is_confirmed, progress
+from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import QosPlan, TopicPlan
 from tests.examples import examples
 from tests.sample_publishers import publisher
@@ -136,25 +136,3 @@ SHOWN = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)  # told rate
 def test_a_publisher_confirms_what_it_can_have(shown, is_enough):
     """KEEP_ALL has no depth to confirm, and after a lasting refusal the ceiling is enough, after a passing one not."""
     assert is_confirmed(shown, TARGET) == is_enough
-
-
-@given(
-    st.lists(
-        st.builds(
-            replace,
-            st.just(PUBLISHER),
-            topic=st.sampled_from(["/t0", "/t1", "/t2"]),
-            direction=st.sampled_from(Direction),  # also of a topic whose far reader has left
-            rate_hz=st.floats(0.0, 1000.0),
-            depth=st.integers(1, 5000),
-        ),
-        max_size=3,
-        unique_by=lambda publisher: publisher.topic,
-    )
-)
-def test_restoring_gives_back_the_applications_qos(publishers):
-    """After a clean stop every publisher has its baseline QoS, is unpaced, and lacks nothing."""
-    restored = restore_plan(publishers, generation=9)
-    now = [taken(each, restored) for each in publishers]
-    assert all((p.depth, p.deadline_ns, p.rate_hz) == (10, 0, math.inf) for p in now)
-    assert not progress(now, restored).missing

@@ -13,7 +13,7 @@ from arpd.sim.result import Arrivals
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import SOCKET_BYTES, Socket
 from arpd.sim.timeline import Timeline
-from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
 
 PICTURE = 900_000
 
@@ -41,7 +41,8 @@ class Sender:
         )
         self.arrivals = Arrivals()
         self.writer = SimulatedWriter(
-            LinkPath(timeline=self.timeline, there=self.there, back=self.back, socket=self.socket),
+            self.socket,
+            self.back,
             Counting(self.arrivals, self.timeline, PICTURE),
             qos=WriterQos(depth=1, deadline_ns=0),
             heartbeat_s=0.05,

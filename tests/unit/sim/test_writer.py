@@ -14,7 +14,7 @@ from arpd.sim.result import Arrivals
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Timeline
-from arpd.sim.writer import SAMPLE, Counting, LinkPath, SimulatedWriter
+from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
 from tests.examples import examples
 
 ORIGIN_S = 1000.0
@@ -49,12 +49,8 @@ class World:
         self.reader = Delivered()
         self.published = 0
         self.writer = SimulatedWriter(
-            LinkPath(
-                timeline=self.timeline,
-                there=self.there,
-                back=self.back,
-                socket=Socket(self.timeline, self.there, room_bytes=math.inf),
-            ),
+            Socket(self.timeline, self.there, room_bytes=math.inf),
+            self.back,
             Counting(self.reader, self.timeline, 500),
             qos=WriterQos(depth=depth, deadline_ns=0),
             heartbeat_s=0.05,

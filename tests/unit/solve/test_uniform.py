@@ -40,7 +40,7 @@ def rates_under(allocation, topics):
 def test_between_two_plans_the_price_is_the_same(capacity, share, crossing):
     """The price alone is that of the whole answer."""
     solver, topics = program(), robot()
-    quick = solver.price(capacity, topics, packet_overhead_s=0.0, share=share, crossing=crossing)
+    quick = solver.on_link(capacity, topics, packet_overhead_s=0.0, share=share, crossing=crossing).price()
     assert solver.solve(capacity, topics, AMPLE, share=share, crossing=crossing).price == quick
 
 
