@@ -116,39 +116,87 @@ class _Waiting(NamedTuple):
     until_s: float
 
 
-class Caller:
-    """Makes calls to the other end; each one ends exactly once, with an answer or a failure.
+class CallBook:
+    """The calls to the other end, each of which ends exactly once, and those of the other end, which run at most once.
 
     Parameters
     ----------
     send : writes one record to the link
+    run : called once per call of the other end; `finish` ends it, at once or later
+    stop : called when nobody waits for the outcome of a call that runs
     """
 
-    def __init__(self, *, send: Send) -> None:
-        self._send = send
-        self._callee = 0
+    def __init__(self, *, send: Send, run: Callable[[CallId, Request], None], stop: Callable[[CallId], None]) -> None:
+        self._send, self._run, self._stop = send, run, stop
+        self._other = 0  # session of the other end
         self._is_reachable = False
-        self._waiting: dict[int, _Waiting] = {}
+        self._waiting: dict[int, _Waiting] = {}  # calls to the other end, by number
         self._next = 1
         self._tell_s = math.inf  # when to say which calls wait
+        # Calls of the other end: None while one runs, then the record of its outcome, empty where nobody waits; the
+        # last used last.
+        self._calls: dict[CallId, bytes | None] = {}
 
-    def __len__(self) -> int:
-        """Return how many calls wait."""
+    @property
+    def waiting(self) -> int:
+        """Count the calls to the other end that wait."""
         return len(self._waiting)
 
-    def follow(self, callee: int | None) -> None:
-        """Make calls to this session of the other end from now on; calls that wait for another one fail.
+    @property
+    def running(self) -> int:
+        """Count the calls of the other end that run."""
+        return sum(record is None for record in self._calls.values())
 
-        Parameters
-        ----------
-        callee : None = the other end is unreachable
+    def follow(self, other: int | None) -> None:
+        """Speak with this session of the other end from now on; None = it is unreachable.
+
+        Calls that wait for another session, or for an end that is unreachable, fail. Those of another session are given
+        up; an end that is unreachable may still want its calls.
         """
-        if callee is None:
+        self._is_reachable = other is not None
+        if other is None:
             self._give_up(self._waiting, FailureReason.UNREACHABLE, "the other end became unreachable")
-        elif callee != self._callee:
+        elif other != self._other:
             self._give_up(self._waiting, FailureReason.RESTARTED, "the other end restarted; the call may have run")
-            self._callee = callee
-        self._is_reachable = callee is not None
+            self._other = other
+            for call in self._calls:
+                if call.caller != other:
+                    self._close(call)
+
+    def receive(self, sender: int, record: Record) -> None:
+        """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
+
+        Raises
+        ------
+        ValueError
+            If its body is malformed.
+        """
+        if sender != self._other:
+            return
+        if record.kind is Kind.REQUEST:
+            service, type_name, body = record.body.split(b"\0", 2)
+            self._serve(CallId(sender, record.number), Request(service.decode(), type_name.decode(), body))
+        elif record.kind is Kind.WAITING:
+            count, odd = divmod(len(record.body), _NUMBER_BYTES)
+            if odd or count > MOST_CALLS:
+                raise ValueError(f"{len(record.body)} bytes of numbers of calls")
+            self._settle(record.number, {*struct.unpack(f">{count}Q", record.body)})
+        elif (call := self._waiting.get(record.number)) is None:
+            return
+        elif record.kind is Kind.MISSING:
+            self._send(call.record, record.number)
+        elif record.kind is Kind.ANSWER:
+            del self._waiting[record.number]
+            if len(record.body) > SMALL_BYTES:
+                self._tell()  # the other end has no room for many
+            call.on_end(record.body)
+        else:
+            reason, _, message = record.body.decode().partition("\0")
+            failure = CallFailure(FailureReason(reason), message)
+            del self._waiting[record.number]
+            call.on_end(failure)
+
+    # -- calls to the other end
 
     def call(self, request: Request, *, timeout_s: float, now_s: float, on_end: Callable[[Outcome], None]) -> None:
         """Begin a call.
@@ -163,7 +211,7 @@ class Caller:
             on_end(CallFailure(FailureReason.UNREACHABLE, "the other end is unreachable"))
             return
         body = f"{request.service}\0{request.type_name}\0".encode() + request.body
-        record = encode_record(Record(Kind.REQUEST, self._callee, self._next, body))
+        record = encode_record(Record(Kind.REQUEST, self._other, self._next, body))
         size = sum(len(call.record) for call in self._waiting.values()) + len(record)
         if len(self._waiting) >= MOST_CALLS or size > MOST_BYTES:
             words = f"more than {MOST_CALLS} calls, or {MOST_BYTES} bytes of their requests, would wait"
@@ -178,28 +226,6 @@ class Caller:
         """End all calls of a service that the other end does not serve any more."""
         numbers = [number for number, call in self._waiting.items() if call.service == service]
         self._give_up(numbers, FailureReason.NO_SERVER, message)
-
-    def receive(self, sender: int, record: Record) -> None:
-        """Take a record of the other end.
-
-        Raises
-        ------
-        ValueError
-            If a failure has no reason that this end knows.
-        """
-        if sender != self._callee or record.number not in self._waiting:
-            return
-        if record.kind is Kind.MISSING:
-            self._send(self._waiting[record.number].record, record.number)
-        elif record.kind is Kind.ANSWER:
-            call = self._waiting.pop(record.number)
-            if len(record.body) > SMALL_BYTES:
-                self._tell()  # the other end has no room for many
-            call.on_end(record.body)
-        elif record.kind is Kind.FAILURE:
-            reason, _, message = record.body.decode().partition("\0")
-            failure = CallFailure(FailureReason(reason), message)
-            self._waiting.pop(record.number).on_end(failure)
 
     def step(self, now_s: float) -> None:
         """Say which calls wait, and end those whose time is over; call it several times a second."""
@@ -217,60 +243,12 @@ class Caller:
 
     def _tell(self, source: int = 0) -> None:
         numbers = struct.pack(f">{len(self._waiting)}Q", *self._waiting)
-        self._send(encode_record(Record(Kind.WAITING, self._callee, self._next, numbers)), source)
+        self._send(encode_record(Record(Kind.WAITING, self._other, self._next, numbers)), source)
 
-
-class Callee:
-    """Runs the calls of the other end, each at most once, and keeps the last outcomes.
-
-    Parameters
-    ----------
-    send : writes one record to the link
-    run : called once per call; `finish` ends it, at once or later
-    stop : called when nobody waits for the outcome of a call that runs
-    """
-
-    def __init__(self, *, send: Send, run: Callable[[CallId, Request], None], stop: Callable[[CallId], None]) -> None:
-        self._send = send
-        self._run, self._stop = run, stop
-        self._caller = 0
-        # None while a call runs, then the record of its outcome, empty where nobody waits; the last used last
-        self._calls: dict[CallId, bytes | None] = {}
-
-    def __len__(self) -> int:
-        """Return how many calls run."""
-        return sum(record is None for record in self._calls.values())
-
-    def follow(self, caller: int | None) -> None:
-        """Run calls of this session of the other end from now on; None = unreachable, which changes nothing."""
-        if caller is not None and caller != self._caller:
-            self._caller = caller
-            for call in self._calls:
-                if call.caller != caller:
-                    self._close(call)
-
-    def receive(self, sender: int, record: Record) -> None:
-        """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
-
-        Raises
-        ------
-        ValueError
-            If it is no request or no numbers of calls.
-        """
-        if sender != self._caller:
-            return
-        if record.kind is Kind.REQUEST:
-            service, type_name, body = record.body.split(b"\0", 2)
-            request = Request(service.decode(), type_name.decode(), body)
-            self._serve(CallId(sender, record.number), request)
-        elif record.kind is Kind.WAITING:
-            count, odd = divmod(len(record.body), _NUMBER_BYTES)
-            if odd or count > MOST_CALLS:
-                raise ValueError(f"{len(record.body)} bytes of numbers of calls")
-            self._settle(record.number, {*struct.unpack(f">{count}Q", record.body)})
+    # -- calls of the other end
 
     def finish(self, call: CallId, outcome: Outcome) -> None:
-        """End a call with its outcome; one that the caller has given up is ignored."""
+        """End a call of the other end with its outcome; one that the caller has given up is ignored."""
         if self._calls.get(call, b"") is not None:
             return
         record = _outcome_record(call, outcome)
@@ -287,7 +265,7 @@ class Callee:
         if call in self._calls:
             self._repeat(call)
             return
-        is_free = len(self) < MOST_CALLS
+        is_free = self.running < MOST_CALLS
         self._calls[call] = None
         if is_free:
             self._run(call, request)
@@ -297,9 +275,9 @@ class Callee:
     def _settle(self, following: int, waiting: set[int]) -> None:
         """Give up what the caller has given up, and send what it lacks."""
         for call in self._calls:
-            if call.caller == self._caller and call.number < following and call.number not in waiting:
+            if call.caller == self._other and call.number < following and call.number not in waiting:
                 self._close(call)
-        for call in (CallId(self._caller, number) for number in sorted(waiting)):
+        for call in (CallId(self._other, number) for number in sorted(waiting)):
             if call in self._calls:
                 self._repeat(call)
             else:

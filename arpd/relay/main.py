@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import platform
 import re
+import secrets
 import threading
+from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.host.addresses import Addresses
@@ -13,18 +17,33 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import likeliest_interface
 from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog
+from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
-from arpd.relay.ends.prefix import run_prefix
-from arpd.relay.ends.run import run_end
-from arpd.ros.runtime import serve_until, stop_on_signals
+from arpd.relay.ends.end import End
+from arpd.relay.ends.link import check_deaf_to_itself
+from arpd.relay.ends.prefix import Participants, Prefixed
+from arpd.relay.envelope import WRAP
+from arpd.ros.rmw import current_rmw
+from arpd.ros.runtime import (
+    TWO_ENDED_PROFILE,
+    prepare_environment,
+    ros_node,
+    serve_until,
+    stop_on_signals,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from arpd.relay.ends.participants import Parts
+    from rclpy.node import Node
+
+    from arpd.model.settings import RelaySettings
+    from arpd.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
+_TICK_S, _LOOK_S, _IDLE_S = 0.1, 0.5, 1.0  # between two steps: of an end, under a prefix, and of neither
+_M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 128 * 1024
 
 
 def default_node_name(host: str, *, is_far: bool = False) -> str:
@@ -45,6 +64,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     ------
     LinkError
         If only a new process can use the link's address.
+    RosUnavailableError
+        If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
     """
     configure_logging(log_level, name="arpd-relay-far" if is_far else "arpd-relay")
     settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
@@ -54,7 +75,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     link = AUTO if is_far else settings.link.interface  # the file names the robot's
     addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
 
-    def serve(step: Callable[[], None], every_s: float, parts: Parts) -> None:
+    def serve(step: Callable[[], None], every_s: float, parts: Sequence[Callable[[], float]]) -> None:
         heartbeat = Watchdog(notifier, parts=parts)
         notifier.ready()
         try:
@@ -62,23 +83,57 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         finally:
             notifier.stopping()
 
-    host, on_change = platform.node(), notifier.status
-    name = node_name or default_node_name(host, is_far=is_far)
-    if settings.relay.link_domain is not None:
-        run_end(settings.relay, serve, is_far=is_far, node_name=name, host=host, on_change=on_change)
+    relay, name = settings.relay, node_name or default_node_name(platform.node(), is_far=is_far)
+    if relay.link_domain is not None:
+        prepare_environment(TWO_ENDED_PROFILE)
+        return_large_blocks()
+        with (
+            ros_node(name) as node,
+            ros_node(name, relay.link(is_far=is_far)) as link_node,
+            closing(_end(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end,
+        ):
+            serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])
     elif is_far:
-        _idle(f"nothing to do: relay.link_domain is not set in {config_path}", notifier, stopping)
+        log.info(reason := f"nothing to do: relay.link_domain is not set in {config_path}")
+        notifier.status(reason)
+        serve(lambda: None, _IDLE_S, ())
     else:
-        run_prefix(settings.relay, serve, node_name=name, on_change=on_change)
+        with (
+            ros_node(name) as node,
+            closing(Participants(node)) as participants,
+            closing(Prefixed(node, relay, participants=participants, on_change=notifier.status)) as prefixed,
+        ):
+            serve(prefixed.look, _LOOK_S, participants.parts)
     return 0
 
 
-def _idle(reason: str, notifier: Notifier, stopping: threading.Event) -> None:
-    """Wait for the end with a status that says why, as a relay without topics does."""
-    log.info("%s", reason)
-    notifier.status(reason)
-    notifier.ready()
-    heartbeat = Watchdog(notifier)
-    while not stopping.wait(1.0):
-        heartbeat.beat()
-    notifier.stopping()
+def _end(
+    node: Node, link_node: Node, settings: RelaySettings, *, is_far: bool, on_change: Callable[[str], None]
+) -> End:
+    check_middleware(current_rmw())
+    check_deaf_to_itself(node)
+    session = 1 + secrets.randbelow(WRAP - 1)
+    return End(node, link_node, settings, is_far=is_far, host=platform.node(), session=session, on_change=on_change)
+
+
+def return_large_blocks() -> None:
+    """Let the C library return large blocks to the system when they are free, as glibc's mallopt(3) says.
+
+    By default its threshold grows with the blocks it frees, up to 32 MB: maps that came and went stay in its heaps.
+    """
+    ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
+
+
+def check_middleware(rmw: Rmw) -> None:
+    """Refuse a middleware that no profile keeps from hearing itself.
+
+    Raises
+    ------
+    RosUnavailableError
+        If it is not Fast DDS.
+    """
+    if not rmw.is_fast_dds:
+        raise RosUnavailableError(
+            f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
+            "it, or remove relay.link_domain"
+        )

@@ -94,7 +94,7 @@ class End:
     @property
     def under_way(self):
         """Calls from this side, and calls to this side."""
-        return len(self.calls._caller), len(self.calls._callee)
+        return self.calls._book.waiting, self.calls._book.running
 
     def tell(self):
         self.other.calls.offered = self.calls.offers, self.session
@@ -273,7 +273,7 @@ def test_what_comes_from_the_link_waits_for_no_node_here(world, monkeypatch):
     """While calls wait for a node, records are taken from the link: the other end awaits their receipts."""
     world.relay()
     is_waiting, gate = threading.Event(), threading.Event()
-    monkeypatch.setattr(world.robot.calls._caller, "receive", lambda *_record: (is_waiting.set(), gate.wait()))
+    monkeypatch.setattr(world.robot.calls._book, "receive", lambda *_record: (is_waiting.set(), gate.wait()))
     record = encode_record(Record(Kind.WAITING, world.robot.session, 1))
     for _ in range(2):
         taking = threading.Thread(target=world.robot.calls.arrived, args=(world.base.session, record), daemon=True)
@@ -322,8 +322,7 @@ def forged_call(world, service, type_name="test_msgs/srv/BasicTypes", body=b""):
     """Call from the base computer what its own end would not call; returns the outcomes."""
     outcomes = []
     request = Request(service, type_name, body or serialize_message(BasicTypes.Request()))
-    caller = world.base.calls._caller
-    caller.call(request, timeout_s=10.0, now_s=time.monotonic(), on_end=outcomes.append)
+    world.base.calls._book.call(request, timeout_s=10.0, now_s=time.monotonic(), on_end=outcomes.append)
     return outcomes
 
 

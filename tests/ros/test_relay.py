@@ -10,8 +10,7 @@ from std_msgs.msg import Empty, String
 
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import RelaySettings, RelayTopic
-from arpd.relay.ends.participants import Participants
-from arpd.relay.ends.prefix import Prefixed
+from arpd.relay.ends.prefix import Participants, Prefixed
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint

@@ -17,8 +17,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.model.settings import RelaySettings, RelayTopic
-from arpd.relay.ends.participants import Participants
-from arpd.relay.ends.prefix import Prefixed
+from arpd.relay.ends.prefix import Participants, Prefixed
 from tests.ros.domain import DOMAIN
 from tests.waiting import PATIENCE_S
 
@@ -161,7 +160,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
 def test_topics_of_large_samples_that_share_a_participant_are_named(ros, stack, monkeypatch, eventually):
     """Two such topics more than there may be participants for them are named, and so is the one they join."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    monkeypatch.setattr("arpd.relay.ends.participants._MOST_LARGE", 1)
+    monkeypatch.setattr("arpd.relay.ends.prefix._MOST_LARGE", 1)
     participants, warnings = stack.enter_context(closing(Participants(ros.node("crowded")))), []
     (node,) = {participants.of(topic, is_large=True) for topic in TOPICS[:3]}
     logger = SimpleNamespace(warning=lambda words, **_throttle: warnings.append(words))

@@ -33,7 +33,11 @@ class AnnouncedParticipants:
         self._heard_s: dict[str, float] = {}
         self._socket: socket.socket | None = None
         try:
-            self._socket = _listening(domain_id)
+            self._socket = discovery_socket(domain_id)
+            self._socket.settimeout(0.0)
+            for index, _name in socket.if_nameindex():
+                with suppress(OSError):  # down, or without an address
+                    join_discovery(self._socket, index)
         except OSError as error:
             log.warning("cannot listen for nodes that cross the link on their own: %s", error)
 
@@ -54,13 +58,3 @@ class AnnouncedParticipants:
         """Listen no more."""
         if self._socket is not None:
             self._socket.close()
-
-
-def _listening(domain_id: int) -> socket.socket:
-    """Return a socket that hears the multicast discovery on every interface that can join it."""
-    heard = discovery_socket(domain_id)
-    heard.settimeout(0.0)
-    for index, _name in socket.if_nameindex():
-        with suppress(OSError):  # down, or without an address
-            join_discovery(heard, index)
-    return heard

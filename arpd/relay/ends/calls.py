@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.exceptions import InvalidServiceNameException, NameValidationException
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.relay.calls import Callee, Caller, CallFailure, FailureReason, Request, decode_record
+from arpd.relay.calls import CallBook, CallFailure, FailureReason, Request, decode_record
 from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, service_class
@@ -90,8 +90,7 @@ class Calls:
         self.offers: Mapping[str, ServiceOffer] = {}
         self.refused: Mapping[str, str] = {}
         self.failures: Counter[str] = Counter()
-        self._caller = Caller(send=send)
-        self._callee = Callee(send=send, run=self._run, stop=self._stop)
+        self._book = CallBook(send=send, run=self._run, stop=self._stop)
         self.thread = ReadingThread(step=self._step, clock=clock)
 
     def close(self) -> None:
@@ -111,7 +110,7 @@ class Calls:
             if now_s >= self._look_s:
                 self._look_s = now_s + _LOOK_S
                 self._look()
-            self._caller.step(now_s)
+            self._book.step(now_s)
             for each in (*self._ghosts.values(), *self._clients.values()):
                 each.step()
         return self._stepped_s + self._every_s
@@ -123,19 +122,18 @@ class Calls:
 
     def _look(self) -> None:
         """Follow the graph and the other end."""
-        names = {}
         self._view.look()
+        ours, servers = self._view.ours, {}
         for local in self._view.services:
             name = self._side.robot_name(local) if is_full_name(local) else None
             if name is not None and self._side.may_call(name):
-                names[name] = local
-        ours = self._view.ours
-        self._servers = {
-            name: [server for server in self._view.servers(local) if server.participant not in ours]
-            for name, local in names.items()
-        }
-        self.offers = {name: offer for name in sorted(names) if (offer := self._offer(name)) is not None}
-        self._drop_clients()
+                servers[name] = [each for each in self._view.servers(local) if each.participant not in ours]
+        self._servers = servers
+        self.offers = {name: offer for name in sorted(servers) if (offer := self._offer(name)) is not None}
+        for (name, type_name), client in [*self._clients.items()]:  # a participant has one type per name
+            offer = self.offers.get(name)
+            if (offer is None or offer.type_name != type_name) and client.is_idle:
+                self._clients.pop((name, type_name)).destroy()
         offered, session = self.offered
         self._follow(offered, session)
         self._nodes.keep(_OWNER, {self._side.local_name(offer.node) for offer in offered.values()})
@@ -145,8 +143,9 @@ class Calls:
         named = [server for server in self._servers[name] if server.node]
         if (first := min(named, key=lambda server: server.node, default=None)) is None:
             return None
-        node = self._side.robot_name(first.node) or first.node
-        return ServiceOffer(type_name=_ros_type(first.type_name), node=node)
+        # The type of DDS, example_interfaces::srv::dds_::AddTwoInts_Request_, has another name in ROS.
+        type_name = first.type_name.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")
+        return ServiceOffer(type_name=type_name, node=self._side.robot_name(first.node) or first.node)
 
     def arrived(self, sender: int, data: bytes) -> None:
         """Take a record of the other end later, in the own thread; the sender is its session."""
@@ -158,8 +157,7 @@ class Calls:
         try:
             record = decode_record(data)
             if record.to == self._session:
-                self._caller.receive(sender, record)
-                self._callee.receive(sender, record)
+                self._book.receive(sender, record)
         except ValueError as fault:
             if self._logged.take("", self._clock()):
                 log.warning("ignored a record of the other end: %s (logged once a minute)", fault)
@@ -168,29 +166,24 @@ class Calls:
 
     def _follow(self, offered: Mapping[str, ServiceOffer], session: int | None) -> None:
         """Serve here what the other end offers, and nothing else."""
-        self._caller.follow(session)
-        self._callee.follow(session)
+        self._book.follow(session)
         changed = {name for name, ghost in self._ghosts.items() if offered.get(name) != ghost.offer}
         for name in changed:
             self._withdraw(name, "the other end offers it no more")
-        refused = {}
-        for name, offer in offered.items():
-            reason = self._reason_against(name)
-            # A participant has one type per name, so the next look is soon enough for one that changed.
-            if not reason and name not in self._ghosts and name not in changed:
-                reason = self._serve(name, offer)
-            if reason:
-                self._withdraw(name, reason)
-                refused[name] = reason
-        self.refused = refused
-
-    def _reason_against(self, name: str) -> str:
-        if not self._side.may_call(name):
-            return "relay.services and relay.actions of this end do not allow it"
-        return "a node on this side serves it, too; that one stays" if self._servers.get(name) else ""
+        # A participant has one type per name, so the next look is soon enough for one that changed.
+        asked = {name: offer for name, offer in offered.items() if name not in changed}
+        self.refused = {name: reason for name, offer in asked.items() if (reason := self._serve(name, offer))}
+        for name, reason in self.refused.items():
+            self._withdraw(name, reason)
 
     def _serve(self, name: str, offer: ServiceOffer) -> str:
-        """Make a ghost of this service; return why there is none."""
+        """Make a ghost of this service where there is none; return why there must not be one."""
+        if not self._side.may_call(name):
+            return "relay.services and relay.actions of this end do not allow it"
+        if self._servers.get(name):
+            return "a node on this side serves it, too; that one stays"
+        if name in self._ghosts:
+            return ""
         try:
             self._ghosts[name] = GhostServer(
                 self._nodes.of(self._side.local_name(offer.node), owner=_OWNER),
@@ -207,13 +200,13 @@ class Calls:
 
     def _withdraw(self, name: str, reason: str) -> None:
         if name in self._ghosts:
-            self._caller.fail(name, f"{reason}; the call may have run")
+            self._book.fail(name, f"{reason}; the call may have run")
             self._ghosts.pop(name).destroy()
 
     def _call(self, name: str, message: Any, header: Any) -> None:
         """Pass a request of a node on this side to the other end."""
         ghost = self._ghosts[name]
-        self._caller.call(
+        self._book.call(
             Request(name, ghost.offer.type_name, bytes(serialize_message(message))),
             timeout_s=math.inf if name.endswith(_GET_RESULT) else self._timeout_s,
             now_s=self._clock(),
@@ -259,25 +252,13 @@ class Calls:
 
     def _finish(self, call: CallId, response: Any) -> None:
         try:
-            self._callee.finish(call, bytes(serialize_message(response)))
+            self._book.finish(call, bytes(serialize_message(response)))
         except RuntimeError as error:
             self._fail(call, FailureReason.TYPE, f"the middleware says: {error}")
 
     def _fail(self, call: CallId, reason: FailureReason, message: str) -> None:
-        self._callee.finish(call, CallFailure(reason, f"the other end says: {message}"))
+        self._book.finish(call, CallFailure(reason, f"the other end says: {message}"))
 
     def _stop(self, call: CallId) -> None:
         for client in self._clients.values():
             client.stop(call)
-
-    def _drop_clients(self) -> None:
-        """Remove clients of services that are gone or have another type: a participant has one type per name."""
-        for (name, type_name), client in [*self._clients.items()]:
-            offer = self.offers.get(name)
-            if (offer is None or offer.type_name != type_name) and client.is_idle:
-                self._clients.pop((name, type_name)).destroy()
-
-
-def _ros_type(dds_type: str) -> str:
-    """Return ``example_interfaces/srv/AddTwoInts`` for ``example_interfaces::srv::dds_::AddTwoInts_Request_``."""
-    return dds_type.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")

@@ -21,10 +21,9 @@ from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link_reader import LINK_QOS, LinkReader
-from arpd.relay.ends.link_thread import LinkThread
+from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread
 from arpd.relay.ends.link_topic import LinkOutgoing
-from arpd.relay.ends.offers import EndState, OtherVersionError, TopicOffer, decode_state, encode_state
+from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.survey import Survey
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
@@ -208,15 +207,15 @@ class End:
             if isinstance(arrived, int):
                 self._partner.hear(arrived, now_s)
                 continue
+            before, self._fault = self._fault, ""
             try:
                 state = decode_state(octets(arrived))
                 self._partner.hear(state.session, now_s, state)
                 is_new = True
-                self._fault = ""
-            except OtherVersionError as fault:
-                self._note_fault(str(fault))
             except ValueError as fault:
-                self._note_fault(f"its message is not understood ({fault})")
+                self._fault = str(fault)
+            if self._fault not in {"", before}:
+                log.error("the other end: %s", self._fault)
         if is_new:
             self._follow(now_s)
 
@@ -372,11 +371,6 @@ class End:
         return [name for name in names if not name.startswith("arpd") and name != self._link_node.get_name()][
             :MOST_NAMED
         ]
-
-    def _note_fault(self, words: str) -> None:
-        if words != self._fault:
-            log.error("the other end: %s", words)
-        self._fault = words
 
     def _note_refusals(self, refused: dict[str, str]) -> None:
         for name, reason in refused.items():

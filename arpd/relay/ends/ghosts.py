@@ -219,9 +219,18 @@ class GhostWriter:
         return WriterQos(depth=max(self._planned.depth, self._depth), deadline_ns=min(deadlines, default=0))
 
     def _create(self, qos: WriterQos) -> RosWriter:
+        offer = self.offer
+        profile = QoSProfile(
+            depth=qos.depth,
+            **policies_of(is_reliable=offer.is_reliable, is_latched=offer.is_latched),
+            deadline=Duration(nanoseconds=qos.deadline_ns),
+            lifespan=Duration(nanoseconds=offer.lifespan_ns),
+            liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if offer.is_manual else QoSLivelinessPolicy.AUTOMATIC,
+            liveliness_lease_duration=Duration(nanoseconds=offer.lease_ns),
+        )
         return RosWriter(
             node=self._node,
-            create=partial(self._node.create_publisher, self._msg_type, self._topic, profile_of(self.offer, qos)),
+            create=partial(self._node.create_publisher, self._msg_type, self._topic, profile),
             event_callbacks=None,
             is_current=lambda _writer: True,
             disconnected=lambda: self._lost_to(qos),
@@ -240,15 +249,3 @@ class GhostWriter:
         if words != self._refusal:
             self._refusal = words
             log.warning(words)
-
-
-def profile_of(offer: WriterOffer, qos: WriterQos) -> QoSProfile:
-    """Return the QoS of a writer, with these depth and deadline."""
-    return QoSProfile(
-        depth=qos.depth,
-        **policies_of(is_reliable=offer.is_reliable, is_latched=offer.is_latched),
-        deadline=Duration(nanoseconds=qos.deadline_ns),
-        lifespan=Duration(nanoseconds=offer.lifespan_ns),
-        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if offer.is_manual else QoSLivelinessPolicy.AUTOMATIC,
-        liveliness_lease_duration=Duration(nanoseconds=offer.lease_ns),
-    )

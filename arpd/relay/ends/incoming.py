@@ -15,7 +15,7 @@ from rclpy.exceptions import NameValidationException
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
-from arpd.relay.ends.link_reader import LinkReader
+from arpd.relay.ends.link import LinkReader
 from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.ends.link_thread import LinkThread
+    from arpd.relay.ends.link import LinkThread
     from arpd.relay.ends.offers import TopicOffer, WriterOffer
     from arpd.relay.selection import Side
     from arpd.ros.raw_reader import ReadingThread

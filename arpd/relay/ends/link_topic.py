@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model.price import Price
-    from arpd.relay.ends.link_thread import LinkThread
+    from arpd.relay.ends.link import LinkThread
     from arpd.relay.ends.offers import TopicOffer, WriterOffer
     from arpd.relay.ends.survey import Writer
     from arpd.ros.raw_reader import Sample

@@ -12,15 +12,12 @@ from arpd.relay.envelope import WRAP
 from arpd.ros.documents import MOST_INTEGER, pack, unpack
 
 VERSION = 6
+_STRANGE = "its message is not understood"
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 T = TypeVar("T")
 _Period = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 # Each fault in a message is written down, so it may not have too many.
 _ByName = Annotated[Mapping[str, T], Field(max_length=20_000)]
-
-
-class OtherVersionError(ValueError):
-    """A state of a version that this arpd does not know."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -118,17 +115,18 @@ def decode_state(data: bytes) -> EndState:
 
     Raises
     ------
-    OtherVersionError
-        If the other end speaks another version.
     ValueError
-        If the bytes are no state.
+        If the other end speaks another version, or the bytes are no state.
     """
-    document = unpack(data, most_bytes=_MOST_BYTES)
+    try:
+        document = unpack(data, most_bytes=_MOST_BYTES)
+    except ValueError as fault:
+        raise ValueError(f"{_STRANGE} ({fault})") from fault
     if (version := document.get("version")) != VERSION:
         words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
-        raise OtherVersionError(f"{words}; install one arpd on both ends")
+        raise ValueError(f"{words}; install one arpd on both ends")
     try:
         return _STATE.validate_python(document)
     except ValidationError as faults:
-        fault = faults.errors(include_url=False)[0]
-        raise ValueError(f"no state of a relay ({'.'.join(map(str, fault['loc']))}: {fault['msg']})") from faults
+        first = faults.errors(include_url=False)[0]
+        raise ValueError(f"{_STRANGE} ({'.'.join(map(str, first['loc']))}: {first['msg']})") from faults

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import logging
-from contextlib import closing
+from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from rclpy.context import Context
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
+from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.publisher import AdaptivePublisher
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.offers import TopicOffer
 from arpd.relay.ends.outgoing import Outgoing
-from arpd.relay.ends.participants import Participants
 from arpd.relay.ends.survey import Survey
 from arpd.relay.ends.types import is_bulk, message_class
 from arpd.relay.status import prefix_line
@@ -25,12 +27,64 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.participants import Serve
     from arpd.relay.ends.survey import Surveyed, Writer
 
 log = logging.getLogger(__name__)
-_LOOK_S = 0.5
 _LINGER_S = 10.0  # without a writer: a source may restart, and a loop whose source never comes must end
+
+_MOST_TOPICS = 100
+_MOST_LARGE = 8  # each costs threads, and discovery with every other participant
+
+
+class Participants:
+    """Nodes of one process, NAME, NAME_2 and so on, each with a participant of its own, made when a topic needs it.
+
+    Whenever a participant gets or loses an endpoint, rmw_fastrtps sends the list of all its endpoints to every other
+    participant. So the cost of a plan for a participant grows with the square of its topics. And writers of one
+    participant wait for each other inside Fast DDS: while a picture of 0.9 MB left at 5 Mbit/s, a topic of 100 Hz in
+    the same participant came 7 times a second, and in another one 100 times.
+
+    Parameters
+    ----------
+    first : the process's own node
+
+    Attributes
+    ----------
+    parts : its threads
+    """
+
+    def __init__(self, first: Any) -> None:
+        self._name = str(first.get_name())
+        self.parts: list[Callable[[], float]] = []
+        self._stack = ExitStack()
+        self._nodes = {(0, False): first}
+        self._of: dict[tuple[str, bool], Any] = {}
+        self._watch(first)
+
+    def of(self, topic: str, *, is_large: bool) -> Any:
+        """Return the node of a topic, the same at every call.
+
+        Parameters
+        ----------
+        is_large : whether it has samples that others should not wait for
+        """
+        if (topic, is_large) not in self._of:
+            number = sum(other is is_large for _, other in self._of)
+            place = number % _MOST_LARGE if is_large else number // _MOST_TOPICS, is_large
+            if place not in self._nodes:
+                # Nobody spins it: arpd's threads serve its publishers.
+                name = f"{self._name}_{len(self._nodes) + 1}"
+                self._nodes[place] = self._stack.enter_context(ros_node(name, context=Context()))
+                self._watch(self._nodes[place])
+            self._of[topic, is_large] = self._nodes[place]
+        return self._of[topic, is_large]
+
+    def close(self) -> None:
+        """Destroy all nodes but the first."""
+        self._stack.close()
+
+    def _watch(self, node: Any) -> None:
+        self.parts.append(partial(getattr, NodePublishers.of(node).thread, "finished_s"))
 
 
 class _Publisher(AdaptivePublisher):
@@ -128,13 +182,3 @@ class Prefixed(Outgoing[_Publisher]):
             QoSProfile(depth=self._settings.depths.get(link_name) or DEFAULT_RELAY_DEPTH, durability=durability),
             overflow=Overflow.QUEUE if link_name in self._settings.queued else Overflow.LATEST,
         )
-
-
-def run_prefix(settings: RelaySettings, serve: Serve, *, node_name: str, on_change: Callable[[str], None]) -> None:
-    """Run the relay as long as ``serve`` does, whose errors pass."""
-    with (
-        ros_node(node_name) as node,
-        closing(Participants(node)) as participants,
-        closing(Prefixed(node, settings, participants=participants, on_change=on_change)) as relay,
-    ):
-        serve(relay.look, _LOOK_S, participants.parts)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from arpd.ros.graph import Endpoint
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
+_TOLD = ("node", "is_reliable", "is_latched", "deadline_ns", "lifespan_ns", "lease_ns", "is_manual")
 _REMEMBERED_S = 30.0  # a writer that left
 
 
@@ -139,14 +140,5 @@ class Survey:
 
 
 def _writer(found: Endpoint) -> Writer:
-    offer = WriterOffer(
-        node=found.node,
-        gid=found.gid.hex(),
-        is_reliable=found.is_reliable,
-        is_latched=found.is_latched,
-        deadline_ns=found.deadline_ns,
-        lifespan_ns=found.lifespan_ns,
-        lease_ns=found.lease_ns,
-        is_manual=found.is_manual,
-    )
+    offer = WriterOffer(gid=found.gid.hex(), **{name: getattr(found, name) for name in _TOLD})
     return Writer(offer, WriterClass.of(offer), writer_key(offer.gid))

@@ -20,20 +20,11 @@ MOST_BYTES = 16_000_000  # in one endpoint
 # a raw image of 320 × 240 or a cloud of 16 beams, and of all others.
 _MOST_HELD, _BULK_BYTES, _PLAIN_BYTES = 1000, 250_000, 16_000
 _OCTETS = frozenset({"sequence<uint8>", "sequence<int8>", "sequence<octet>"})
+# Of rosidl_message_type_support_t of ROS 2 Jazzy, behind three pointers: get_type_hash_func.
+_GET_HASH, _GET_HASH_AT = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p), 3 * ctypes.sizeof(ctypes.c_void_p)
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
 _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
-
-
-class _TypeSupport(ctypes.Structure):
-    """The beginning of rosidl_message_type_support_t of ROS 2 Jazzy."""
-
-    _fields_ = (
-        ("typesupport_identifier", ctypes.c_char_p),
-        ("data", ctypes.c_void_p),
-        ("func", ctypes.c_void_p),
-        ("get_type_hash_func", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)),
-    )
 
 
 class UnknownTypeError(Exception):
@@ -63,7 +54,7 @@ def definition_hash(kind: Any) -> str:
     pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
     pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     support = pointer_of(type(kind)._TYPE_SUPPORT, None)  # noqa: SLF001 - where rclpy finds it, too
-    version, *digits = ctypes.string_at(_TypeSupport.from_address(support).get_type_hash_func(support), 33)
+    version, *digits = ctypes.string_at(_GET_HASH.from_address(support + _GET_HASH_AT)(support), 33)
     return f"RIHS{version:02}_{bytes(digits).hex()}"
 
 

