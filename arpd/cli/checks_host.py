@@ -13,7 +13,7 @@ from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_share, format_size
 from arpd.report.wording import count, listed
 from arpd.ros.profile import profile_line
-from arpd.ros.rmw import rmw_of
+from arpd.ros.rmw import Rmw
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -154,7 +154,7 @@ def rmw(here: Here) -> Finding:
     name = told.rmw if told else here.pythons[0].rmw
     if not name:
         return unknown("neither a daemon nor rclpy tells it")
-    if not (refusal := told.rmw_refusal if told else rmw_of(name).refusal):
+    if not (refusal := told.rmw_refusal if told else Rmw(name=name).refusal):
         return fine(name)
     lines = [f"export {_FAST_DDS}   # for all nodes of both ends"]
     if told:

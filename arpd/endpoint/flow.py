@@ -82,9 +82,8 @@ class Flow(Generic[W]):
         )
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._withheld: Counter[str] = Counter()  # behind the queue, by cause
-        self._missed = (
-            -self._writer.deadlines_missed()
-        )  # of writers before, less those of this one until it was in force
+        # Of the writers before, less those of this one until it was in force.
+        self._missed = -self._writer.deadlines_missed()
         self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
         self._history: deque[bytes] | None = None
@@ -160,7 +159,6 @@ class Flow(Generic[W]):
         lane = self.lane.state(self._clock())
         withheld = Counter(lane.withheld_by_cause) + self._withheld
         with self._lock:
-            ledger = self._swap.ledger
             return replace(
                 lane,
                 published=lane.published - self._withheld.total() - len(self._held),
@@ -172,9 +170,8 @@ class Flow(Generic[W]):
                 deadline_ns=self.qos.deadline_ns,
                 deadlines_missed=self._missed + self._writer.deadlines_missed(),
                 swaps_by_result=dict(self._swaps),
-                swaps_begun=ledger.begun,
-                swap_seconds_by_phase=dict(ledger.seconds_by_phase),
-                last_swap=ledger.last,
+                swaps_begun=self._swap.begun,
+                last_swap=self._swap.last,
             )
 
     def close(self) -> None:

@@ -17,18 +17,16 @@ from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
-from arpd.ros.bounds import checked_row
 from arpd.ros.events import InvalidHandle, no_publisher_events
-from arpd.ros.inbox import Inbox, price_inbox
+from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
-from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, decode_plan
+from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
-from arpd.ros.raw_reader import octets
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from rclpy.context import Context
     from rclpy.node import Node
@@ -42,7 +40,7 @@ _TELL_S = 1.0
 # Least time between two snapshots: 0.2 s, and what keeps a thousand publishers whose swaps end at any moment cheap.
 _EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_PLANS_HZ = 10.0  # of one daemon; arpd sends 5 a second at most
+_PLANS = Letters(topic=PLAN_TOPIC, decode=decode_plan, most_bytes=MOST_BYTES, most_hz=10.0)  # a daemon sends 5 at most
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
 _WARN_EVERY_S, _WARN_OF_MANY_S = 5.0, 60.0
 _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
@@ -62,14 +60,6 @@ class Paced(Protocol):
     @property
     def baseline(self) -> WriterQos:
         """QoS of the application."""
-
-    @property
-    def payload_bytes(self) -> float:
-        """Mean size of a sample."""
-
-    @property
-    def has_refused(self) -> bool:
-        """Whether it refused a part of what was requested last."""
 
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""
@@ -119,19 +109,8 @@ class NodePublishers:
         # Read in a thread of arpd's own: no callback of the application delays them.
         warn = node.get_logger().warning
         self._inboxes = (
-            price_inbox(node, _NEWEST, deliver=lambda _daemon, price: self.take_price(price), clock=clock, warn=warn),
-            Inbox(
-                node,
-                UInt8MultiArray,
-                PLAN_TOPIC,
-                PLAN_QOS,
-                decode=lambda sample: decode_plan(octets(sample.data)),
-                deliver=lambda _daemon, plan: self.take_plan(plan),
-                most_bytes=MOST_BYTES,
-                most_hz=_PLANS_HZ,
-                clock=clock,
-                warn=warn,
-            ),
+            Inbox(node, PRICES, _NEWEST, lambda _sample, price: self.take_price(price), clock=clock, warn=warn),
+            Inbox(node, _PLANS, PLAN_QOS, lambda _sample, plan: self.take_plan(plan), clock=clock, warn=warn),
         )
         self.thread.wake(self)
 
@@ -176,7 +155,6 @@ class NodePublishers:
             with self._lock:
                 self._note_silence(now_s)
                 self._expire_plan()
-            self._warn_of_large()
             self._tell()
         except InvalidHandle:  # the node is gone; a publisher alone raises none here
             for inbox in self._inboxes:
@@ -207,6 +185,7 @@ class NodePublishers:
                 throttle_duration_sec=_WARN_OF_MANY_S,
                 skip_first=False,
             )
+        self._warn_of_large(states)
         message = encode_snapshot(
             self._name,
             states[:MOST_OF_NODE],
@@ -227,15 +206,13 @@ class NodePublishers:
         if now_s - self._heard_s > _SILENT_S:
             self._show_price(*self._publishers.values())
 
-    def _warn_of_large(self) -> None:
+    def _warn_of_large(self, states: Iterable[PublisherState]) -> None:
         """Say once of each topic that it makes the others of its participant wait."""
-        if self.thread.topics < 2:
-            return
-        for topic, publisher in self._publishers.items():
-            if publisher.payload_bytes >= _LARGE_BYTES and topic not in self._warned:
-                self._warned.add(topic)
+        for state in states:
+            if state.payload_bytes >= _LARGE_BYTES and self.thread.topics > 1 and state.topic not in self._warned:
+                self._warned.add(state.topic)
                 self._node.get_logger().warning(
-                    f"{topic} has samples of {publisher.payload_bytes / 1e6:.1f} MB: while one is written to a slow "
+                    f"{state.topic} has samples of {state.payload_bytes / 1e6:.1f} MB: while one is written to a slow "
                     "link, the other topics of this participant wait inside Fast DDS; publish it from a process of its "
                     "own, or carry it by an arpd relay of its own"
                 )
@@ -275,16 +252,14 @@ class NodePublishers:
             try:
                 rows = self._checked_rows(plan)
             except ValueError as refusal:
-                self._answer = self._answer._replace(refused=plan.generation, refusal=str(refusal))
+                self._answer = replace(self._answer, refused=plan.generation, refusal=str(refusal))
                 self.hurry()
                 return
             self._answer = PlanAnswer(plan.generation, plan.lease_s)
             self._heard_s = self._clock()  # a plan is a sign of the daemon
             self._rows = plan.rows
             for publisher, wanted in rows:
-                # The daemon repeats a plan when a swap failed, for example.
-                if wanted != publisher.plan or publisher.has_refused:
-                    self._retune(publisher, wanted)
+                self._retune(publisher, wanted)
         self.hurry()
 
     def _checked_rows(self, plan: PlanMessage) -> list[tuple[Paced, TopicPlan]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from copy import copy
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 
 _LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
 _RETRY_S, _WARN_EVERY_S = 0.1, 5.0
-_BUSY_S = 0.005  # a thread is at the writer, mostly for less
 
 
 class AdaptivePublisher:
@@ -92,7 +92,9 @@ class AdaptivePublisher:
         self.topic = topic
         # A copy, so that later changes of the application's profile do not reach the next writer.
         own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
-        self.qos_profile = overridden(node, node.resolve_topic_name(topic), own)
+        self._resolved: str = node.resolve_topic_name(topic)
+        self.qos_profile = overridden(node, self._resolved, own)
+        self._requests = Requests(node, self._resolved)
         self._node = node
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
@@ -117,8 +119,6 @@ class AdaptivePublisher:
             self._flow.keep_history()
         self._refusal = self._clamp = NO_REFUSAL
         self._refusals = 0  # readers that refused and that a warning named
-        self._resolved = str(self._writer.publisher.topic_name)
-        self._requests = Requests(node, self._resolved)
         self._node_name = node.get_fully_qualified_name()
         self._thread = self._shared.thread
         self._thread.add(self._flow.lane)
@@ -207,11 +207,6 @@ class AdaptivePublisher:
         """QoS of the application at creation."""
         return self._baseline
 
-    @property
-    def payload_bytes(self) -> float:
-        """Mean size of a sample, serialized (bytes)."""
-        return self._flow.lane.payload_bytes
-
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap.
 
@@ -220,6 +215,8 @@ class AdaptivePublisher:
         plan : new settings; a deadline longer than a reader requests is clamped to that request, because the reader
             would silently disconnect (docs/design.md, DDS facts)
         """
+        if plan == self._flow.plan and not self._refusal.words and not self._clamp.words:
+            return  # repeated for another node
         requested_ns = self._requests.tightest_ns()
         is_clamped = not keeps_its_readers(plan, requested_ns)
         clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to {requested_ns} ns, the shortest a reader requests")
@@ -243,8 +240,8 @@ class AdaptivePublisher:
 
     def service(self, now_s: float) -> float:
         """Take a step of the swap, and write what it held; return when to call again (s)."""
-        if not self._thread.claim(self._flow.lane):
-            return now_s + _BUSY_S
+        if not self._thread.claim(self._flow.lane, self):
+            return math.inf
         try:
             return self._flow.service(now_s)
         except InvalidHandle:
@@ -258,11 +255,6 @@ class AdaptivePublisher:
             return now_s + _RETRY_S
         finally:
             self._thread.release(self._flow.lane)
-
-    @property
-    def has_refused(self) -> bool:
-        """True when it refused a part of what was requested last."""
-        return bool(self._refusal.words or self._clamp.words)
 
     def state(self) -> PublisherState:
         """Return the settings in force, for the daemon; called about once a second."""
@@ -325,17 +317,16 @@ class AdaptivePublisher:
             node=self._node,
             create=create,
             event_callbacks=self._event_callbacks,
-            is_current=self._is_current,
-            disconnected=lambda: self._lost_to(qos),
-            are_reliable=lambda: self._requests.are_reliable(),  # noqa: PLW0108 - made after the first writer
+            requests=self._requests,
+            in_force=self._in_force,
         )
         if self._overrides is not None:
             self.qos_profile = copy(profile)
         return writer
 
-    def _is_current(self, writer: RosWriter) -> bool:
-        flow = getattr(self, "_flow", None)
-        return flow is None or flow.writer is writer  # inside Flow's constructor there is only the first writer
+    def _in_force(self) -> RosWriter | None:
+        flow = getattr(self, "_flow", None)  # inside its constructor there is only the first writer
+        return None if flow is None else flow.writer
 
     def _lasting_refusal(self) -> Refusal:
         """Return why the writer is never replaced, no words if it may be."""
@@ -345,16 +336,12 @@ class AdaptivePublisher:
             return Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self._resolved} {_LATCHED}")
         return NO_REFUSAL
 
-    def _lost_to(self, qos: WriterQos) -> list[str]:
-        """Name the readers that the writer in force serves and a writer with this QoS would not."""
-        return self._requests.lost(offered_ns=self._flow.qos.deadline_ns, offer_ns=qos.deadline_ns)
-
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         self._shared.hurry()
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
             offered_ns = self._flow.qos.deadline_ns
-            words = swap_failure(self._resolved, result, qos, requests=self._requests, offered_ns=offered_ns)
+            words = swap_failure(result, qos, requests=self._requests, offered_ns=offered_ns)
             self._refusal = Refusal(RefusalReason(result.value), words)
             self._node.get_logger().warning(words)

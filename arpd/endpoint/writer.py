@@ -16,9 +16,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.model.endpoints import SwapResult, WriterQos
-from arpd.ros.bounds import MOST_DEPTH, checked_deadline_ns, checked_depth
 from arpd.ros.events import InvalidHandle, status_of
 from arpd.ros.graph import deadline_ns_of
+from arpd.ros.plan_message import checked
 from arpd.ros.rcl import rcl
 
 if TYPE_CHECKING:
@@ -41,9 +41,8 @@ class RosWriter:
     create : makes the rclpy publisher, given its ``event_callbacks``
     event_callbacks : the application's own; called only while samples leave by this writer, so that the application
         does not notice when there are two
-    is_current : returns whether samples leave by the given writer
-    disconnected : names the readers that a writer with this QoS would lose
-    are_reliable : returns whether all readers of the topic are reliable
+    requests : what the readers of its topic request
+    in_force : returns the writer by which samples leave, None while the first one is made
     """
 
     def __init__(
@@ -52,20 +51,18 @@ class RosWriter:
         node: Node,
         create: Callable[..., Any],
         event_callbacks: PublisherEventCallbacks | None,
-        is_current: Callable[[RosWriter], bool],
-        disconnected: Callable[[], list[str]],
-        are_reliable: Callable[[], bool],
+        requests: Requests,
+        in_force: Callable[[], RosWriter | None],
     ) -> None:
         self._node = node
-        self._is_current = is_current
-        self._disconnected = disconnected
-        self._are_reliable = are_reliable
+        self._requests = requests
+        self._in_force = in_force
         self._missed = 0  # deadlines; Fast DDS counts them from the first sample on
         self._hears_of_deadlines = getattr(event_callbacks, "deadline", None) is not None
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
         self._outlet = rcl().outlet(self.publisher.handle)
-        self._has_deadline = deadline_ns_of(self.publisher.qos_profile) > 0
+        self.deadline_ns = deadline_ns_of(self.publisher.qos_profile)
 
     def publish(self, sample: bytes) -> None:
         """Write one serialized sample."""
@@ -87,11 +84,12 @@ class RosWriter:
     def readers_acknowledge(self) -> bool:
         """Return whether the readers acknowledge what arrives."""
         is_reliable = self.publisher.qos_profile.reliability != QoSReliabilityPolicy.BEST_EFFORT
-        return is_reliable and self._are_reliable()
+        return is_reliable and self._requests.are_reliable()
 
     def disconnects_readers(self) -> bool:
         """Return whether readers that the writer in force serves have refused this one."""
-        return self.refusals() > 0 and bool(self._disconnected())
+        now = self._in_force() or self
+        return self.refusals() > 0 and bool(self._requests.lost(now.deadline_ns, self.deadline_ns))
 
     def refusals(self) -> int:
         """Count the readers that refused this writer's QoS since it was made, also those that another writer serves."""
@@ -103,7 +101,7 @@ class RosWriter:
 
     def deadlines_missed(self) -> int:
         """Count the offered deadlines missed since it was made; a destroyed writer keeps its last known count."""
-        if self._has_deadline and not self._hears_of_deadlines:
+        if self.deadline_ns and not self._hears_of_deadlines:
             with suppress(InvalidHandle):
                 status = status_of(self.publisher, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_DEADLINE_MISSED)
                 self._missed = self._missed if status is None else int(status.total_count)
@@ -127,7 +125,7 @@ class RosWriter:
         def may_hear(event: Any) -> bool:
             if is_deadline:
                 self._missed = int(event.total_count)  # `status_of` would take the event from the application
-            return self._is_current(self)
+            return self._in_force() in {self, None}
 
         def pass_on(event: Any) -> None:
             if may_hear(event):
@@ -140,20 +138,22 @@ class RosWriter:
         return pass_on_later if inspect.iscoroutinefunction(callback) else pass_on
 
 
-def swap_failure(topic: str, result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:
+def swap_failure(result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:
     """Return in words why a writer swap failed.
 
     Parameters
     ----------
-    topic, requests : the topic, and what its readers request
     result, qos : of the swap
+    requests : what the readers of the topic request
     offered_ns : deadline of the writer that stays (ns)
     """
     if result is SwapResult.FAILED:
         reason = f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
+    elif lost := requests.lost(offered_ns, qos.deadline_ns):
+        reason = f"DEADLINE {qos.deadline_ns or 'infinite'} would lose readers ({', '.join(lost)})"
     else:
-        reason = requests.objection(offered_ns=offered_ns, offer_ns=qos.deadline_ns)
-    return f"writer swap of {topic} failed: {reason}; the old writer stays"
+        reason = f"not all readers matched in time (in the graph: {', '.join(requests.names()) or 'none'})"
+    return f"writer swap of {requests.topic} failed: {reason}; the old writer stays"
 
 
 def serialized(msg: Any, msg_type: Any) -> bytes:
@@ -195,26 +195,18 @@ def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
         If one is out of bounds; the message names the parameter.
     """
     own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
-    depth = _override(
-        node, topic, "depth", own.depth, lambda value: checked_depth(value, most=max(MOST_DEPTH, own.depth))
-    )
-    deadline_ns = _override(
-        node, topic, "deadline", own.deadline_ns, lambda value: checked_deadline_ns(value, own_ns=own.deadline_ns)
-    )
-    if (depth, deadline_ns) == (own.depth, own.deadline_ns):
-        return profile
-    return with_qos(profile, WriterQos(depth=depth, deadline_ns=deadline_ns))
-
-
-def _override(node: Node, topic: str, policy: str, own: int, check: Callable[[int], int]) -> int:
-    name = f"qos_overrides.{topic}.publisher.{policy}"
-    if not node.has_parameter(name):  # without a default: a later publisher of the topic may have other QoS of its own
-        description = ParameterDescriptor(read_only=True, description=f"{policy} of {topic}")
-        node.declare_parameter(name, Parameter.Type.INTEGER, description)
-    try:
-        return check(node.get_parameter_or(name, Parameter(name, value=own)).value)
-    except ValueError as fault:
-        raise ValueError(f"{name}: {fault}") from fault
+    found = {}
+    for policy, field, value in (("depth", "depth", own.depth), ("deadline", "deadline_ns", own.deadline_ns)):
+        name = f"qos_overrides.{topic}.publisher.{policy}"
+        if not node.has_parameter(name):  # without a default: a later publisher of the topic may have other QoS
+            description = ParameterDescriptor(read_only=True, description=f"{policy} of {topic}")
+            node.declare_parameter(name, Parameter.Type.INTEGER, description)
+        try:
+            found[field] = checked(field, node.get_parameter_or(name, Parameter(name, value=value)).value, own)
+        except ValueError as fault:
+            raise ValueError(f"{name}: {fault}") from fault
+    qos = WriterQos(**found)
+    return profile if qos == own else with_qos(profile, qos)
 
 
 def without_ours(options: QoSOverridingOptions | None) -> QoSOverridingOptions | None:

@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from contextlib import ExitStack
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from arpd.endpoint.swap_ledger import SwapLedger
-from arpd.model.endpoints import SwapPhase, SwapResult, Writer, WriterQos
+from arpd.model.endpoints import SwapRecord, SwapResult, SwapState, Writer, WriterQos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 W = TypeVar("W", bound=Writer)
-
-
-class SwapState(StrEnum):
-    """State of a swap; see `WriterSwap` for the transitions."""
-
-    IDLE = "idle"
-    MATCHING = "matching"
-    WATCHING = "watching"
-    HOLDING = "holding"
-    PROVING = "proving"
-    DOUBTING = "doubting"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,24 +57,7 @@ class _Draining:
 class WriterSwap(Generic[W]):
     """Owns the writers of one publisher and replaces them without losing a sample.
 
-    IDLE → MATCHING: a request differs from the QoS in force; a new writer is created.
-    MATCHING → WATCHING: the new writer has as many readers as the old one, and none changed for the settle time.
-    MATCHING → IDLE (unmatched, incompatible): readers are missing and none changed for ``match_timeout_s``, or a reader
-    refuses the QoS. The new writer is destroyed.
-    WATCHING → PROVING: the old writer is fully acknowledged, or patience is over.
-    WATCHING → HOLDING: it was not acknowledged for ``watch_s``; new samples wait, so that it can be.
-    HOLDING → PROVING: it is acknowledged now.
-    HOLDING → WATCHING: it is not, after ``hold_s``. Held samples leave by the old writer, and no more are held.
-    WATCHING, HOLDING → IDLE (ok, reorder_possible): in place of PROVING, when the new writer needs no proof.
-    PROVING → IDLE (ok, reorder_possible): few enough samples left by the new writer that its history keeps them all,
-    and all are acknowledged. A topic that publishes nothing for the settle time is switched without proof.
-    PROVING → DOUBTING: they are not, although further samples were held for ``hold_s``: the readers' side of the match
-    may be late. Held samples leave by the old writer.
-    DOUBTING → MATCHING: they are acknowledged at last; the new writer needs no further proof.
-    DOUBTING → IDLE (unmatched): they are not within ``match_timeout_s``.
-    A reader that joins and that the new writer does not serve yet leads back to MATCHING; from PROVING by way of
-    DOUBTING, if samples left by the new writer.
-    After the switch the old writer drains beside the new one: until acknowledged, without readers, or ``drain_s`` old.
+    docs/design.md has the states and their transitions. After a switch the old writer drains beside the new one.
 
     Only the writer's side knows at once that it matched, so the new writer has to prove itself. On a lossy link the
     readers' side follows up to seconds later, and a small history would lose the samples of that time.
@@ -105,7 +76,8 @@ class WriterSwap(Generic[W]):
 
     Attributes
     ----------
-    ledger : time and results of the swaps; each swap begun has one result, beside ``undelivered``, or is under way
+    begun : swaps so far; each has one result, and perhaps ``undelivered`` beside it, or is under way
+    last : the swap that finished last, None before the first
     needs_proof : whether a new writer must prove that its readers receive; not when it can serve late ones itself
     loss_ratio : share of packets that the link loses, None while unknown; the owner keeps it up to date
     """
@@ -139,7 +111,10 @@ class WriterSwap(Generic[W]):
         self._is_doubted = False
         self._draining: list[_Draining] = []
         self._is_closed = False
-        self.ledger = SwapLedger()
+        self.begun = 0
+        self.last: SwapRecord | None = None
+        self._seconds: defaultdict[str, float] = defaultdict(float)  # in each state of the swap under way
+        self._entered_s = -math.inf
         self.needs_proof = True
         self.loss_ratio: float | None = None
         self.state = SwapState.IDLE
@@ -239,7 +214,8 @@ class WriterSwap(Generic[W]):
             self._give_up(SwapResult.SUPERSEDED, now_s)
         if qos == self._qos:
             return
-        self.ledger.begin()
+        self.begun += 1
+        self._seconds.clear()
         try:
             self._next = self._create(qos)
         except Exception:  # noqa: BLE001 - the middleware may raise anything, and the old writer stays
@@ -255,11 +231,20 @@ class WriterSwap(Generic[W]):
         self._can_prove = self._is_late = self._is_proven = self._is_doubted = False
 
     def _enter(self, state: SwapState, now_s: float) -> None:
-        self.state, self._since_s = state, now_s
-        self.ledger.enter(SwapPhase(state.value), now_s)
+        if self.state is not SwapState.IDLE:
+            # Two threads read the clock before they take the lock, so a later time may arrive first.
+            self._seconds[self.state.value] += max(0.0, now_s - self._entered_s)
+        self.state, self._since_s, self._entered_s = state, now_s, max(now_s, self._entered_s)
 
     def _finish(self, result: SwapResult, qos: WriterQos, now_s: float) -> None:
-        self.ledger.finish(result, qos, now_s)
+        self._enter(SwapState.IDLE, now_s)
+        self.last = SwapRecord(
+            number=self.begun,
+            result=result.value,
+            depth=qos.depth,
+            deadline_ns=qos.deadline_ns,
+            seconds_by_phase=dict(self._seconds),
+        )
         self._on_result(result, qos)
 
     def _match(self, now_s: float) -> None:
@@ -332,7 +317,7 @@ class WriterSwap(Generic[W]):
         assert self._next is not None
         self._draining.append(_Draining(writer=self._current, qos=self._qos, since_s=now_s))
         self._current, self._qos = self._next, self._next_qos
-        self._next, self.state = None, SwapState.IDLE
+        self._next = None
         is_ordered = not (self._is_late or self._is_doubted)
         self._finish(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos, now_s)
 
@@ -342,7 +327,6 @@ class WriterSwap(Generic[W]):
             drained_s = now_s - old.since_s
             if is_served or drained_s >= self._timing.drain_s:
                 self._draining.remove(old)  # first: if something below raises, it must not be destroyed twice
-                self.ledger.drain(SwapPhase.DRAINING, drained_s)
                 old.writer.destroy()
                 if not is_served:
                     self._on_result(SwapResult.UNDELIVERED, old.qos)
@@ -366,6 +350,7 @@ class WriterSwap(Generic[W]):
 
     def _give_up(self, result: SwapResult, now_s: float) -> None:
         refused = self._next_qos
+        self._enter(SwapState.IDLE, now_s)
         self._abandon_next()
         self._finish(result, refused, now_s)
 

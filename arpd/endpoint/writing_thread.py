@@ -64,6 +64,7 @@ class WritingThread:
         self._freed = threading.Condition(self._lock)  # others wait for a lane that is claimed
         self._waiters = 0
         self._turns: dict[Turn, float] = {}  # when they are due
+        self._denied: dict[Lane, Turn] = {}  # of lanes that are claimed
         self._is_stopping = False
         self._next_s = 0.0  # when the thread wakes
         self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
@@ -142,10 +143,11 @@ class WritingThread:
         if sample is not None and (took_s := self._write(lane, sample)) > _BLOCKED_S:
             self._shunned_until_s = now_s + _SHUN * took_s
 
-    def claim(self, lane: Lane) -> bool:
-        """Return whether the caller may be at a lane's writer now; `release` comes next."""
+    def claim(self, lane: Lane, turn: Turn) -> bool:
+        """Return whether the caller may be at a lane's writer now; `release` comes next, or another turn."""
         with self._lock:
             if lane.claimant is not None:
+                self._denied[lane] = turn
                 return False
             lane.claimant = threading.get_ident()
             return True
@@ -156,6 +158,8 @@ class WritingThread:
             lane.claimant = None
             if self._waiters:
                 self._freed.notify_all()
+            if self._denied and (turn := self._denied.pop(lane, None)) is not None:
+                self.wake(turn)
             self._wake_for_queue()
 
     def wake(self, turn: Turn) -> None:

@@ -70,15 +70,15 @@ class WithheldCause(StrEnum):
     CLOSED = "closed"  # it still waited when the publisher was destroyed
 
 
-class SwapPhase(StrEnum):
-    """Phase of a writer swap: its states, and then draining the old writer."""
+class SwapState(StrEnum):
+    """State of a writer swap; `arpd.endpoint.writer_swap` has the transitions."""
 
+    IDLE = "idle"
     MATCHING = "matching"
     WATCHING = "watching"
     HOLDING = "holding"
     PROVING = "proving"
     DOUBTING = "doubting"
-    DRAINING = "draining"
 
 
 class SwapResult(StrEnum):
@@ -135,7 +135,7 @@ class SwapRecord:
     number : counts up from 1 at its publisher, so a record that is read twice or missed shows
     result : `SwapResult`
     depth, deadline_ns : requested QoS (samples, ns)
-    seconds_by_phase : time in each `SwapPhase` up to the result; draining comes later (s)
+    seconds_by_phase : time in each `SwapState` up to the result; the old writer drains later (s)
     """
 
     number: int
@@ -167,7 +167,6 @@ class FlowState:
     withheld_by_cause : ``withheld``, by `WithheldCause`
     deadlines_missed : offered deadlines that the middleware counted as missed, by each writer while it was in force
     swaps_begun : QoS swaps since start; each is under way or has one result, and perhaps ``undelivered`` beside it
-    swap_seconds_by_phase : time of all swaps in each `SwapPhase` that is over, draining too (s)
     last_swap : course of the swap that finished last, None before the first
     """
 
@@ -187,7 +186,6 @@ class FlowState:
     withheld_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     deadlines_missed: int = 0
     swaps_begun: int = 0
-    swap_seconds_by_phase: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     last_swap: SwapRecord | None = None
 
     def counted(self) -> dict[str, Any]:

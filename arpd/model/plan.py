@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -69,7 +69,8 @@ class QosPlan:
     level_bytes_per_second: float = 0.0
 
 
-class PlanAnswer(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class PlanAnswer:
     """A node's answer to plans: which one is in force, and which one it refused last, and why.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.model.endpoints import RefusalReason, SwapPhase
+from arpd.model.endpoints import RefusalReason
 from arpd.model.quantities import format_duration, format_number
 from arpd.report.conditions import Happening, Severity
 from arpd.report.events import Event
@@ -89,12 +89,10 @@ def _ended(publisher: PublisherState, record: SwapRecord) -> str:
     if record.result not in {"ok", "reorder_possible"}:
         return ""
     phases = ", ".join(
-        f"{phase} {seconds:.1f}"
-        for phase, seconds in record.seconds_by_phase.items()
-        if seconds >= 0.05 and phase != SwapPhase.DRAINING
+        f"{phase} {seconds:.1f}" for phase, seconds in record.seconds_by_phase.items() if seconds >= 0.05
     )
     order = "; samples may have arrived out of order" if record.result == "reorder_possible" else ""
-    took = f" in {format_duration(_total_s(record))}" if record.seconds_by_phase else ""
+    took = f" in {format_duration(sum(record.seconds_by_phase.values()))}" if record.seconds_by_phase else ""
     return f"{publisher.topic} swapped to {asked}{took}" + (f" ({phases})" if phases else "") + order
 
 
@@ -118,11 +116,6 @@ def _details(record: SwapRecord) -> dict[str, str]:
         "result": record.result,
         "depth": str(record.depth),
         "deadline_ns": str(record.deadline_ns),
-        "seconds": f"{_total_s(record):.3f}",
+        "seconds": f"{sum(record.seconds_by_phase.values()):.3f}",
         **{f"{phase}_seconds": f"{seconds:.3f}" for phase, seconds in record.seconds_by_phase.items()},
     }
-
-
-def _total_s(record: SwapRecord) -> float:
-    """Return the time from begin to result (s); the old writer drains beside the new one and does not count."""
-    return sum(seconds for phase, seconds in record.seconds_by_phase.items() if phase != SwapPhase.DRAINING)

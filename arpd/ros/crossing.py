@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import Direction
 from arpd.model.names import is_internal
-from arpd.ros.bounds import LEAST_DEADLINE_NS
 from arpd.ros.names import PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
+from arpd.ros.plan_message import LEAST_DEADLINE_NS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -46,12 +47,14 @@ class Graph:
     Parameters
     ----------
     crossings : every topic of the robot
+    topics : number of topics in each direction
     announcers : nodes that may announce publishers; the empty name is an unknown node
     peers : writers of receiver reports; None = not known
     remote_participants : processes with ROS nodes on other hosts than the robot; 1 where hosts are unknown
     """
 
     crossings: Mapping[str, Crossing] = field(default_factory=dict)
+    topics: Counter[Direction] = field(default_factory=Counter)
     announcers: frozenset[str] = frozenset()
     peers: int | None = None
     remote_participants: int = 1
@@ -67,7 +70,7 @@ class Graph:
             return node in self.announcers or "" in self.announcers
         return node not in self.announcers and "" in self.announcers and "" in writers
 
-    def fields_of(self, _node: str, topic: str) -> Mapping[str, Any]:
+    def fields_of(self, topic: str) -> Mapping[str, Any]:
         """Return the fields of a publisher that the graph shows."""
         if (crossing := self.crossings.get(topic)) is None:
             return {}
@@ -89,16 +92,18 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     names = [topic for topic in view.types if not is_internal(topic) and is_full_name(topic)]
     topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
     hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
+    crossings = {
+        topic: crossing(
+            # The daemon's own writer of /diagnostics is no traffic of the robot.
+            writers=[writer for writer in view.writers(topic) if writer.node != view.own.node],
+            readers=view.readers(topic),
+            robot_host=robot_host,
+        )
+        for topic in topics
+    }
     return Graph(
-        crossings={
-            topic: crossing(
-                # The daemon's own writer of /diagnostics is no traffic of the robot.
-                writers=[writer for writer in view.writers(topic) if writer.node != view.own.node],
-                readers=view.readers(topic),
-                robot_host=robot_host,
-            )
-            for topic in topics
-        },
+        crossings=crossings,
+        topics=Counter(crossing.direction for crossing in crossings.values()),
         announcers=_nodes(view.writers(PUBLISHERS_TOPIC)),
         peers=len(view.writers(REPORT_TOPIC)),
         remote_participants=1 if robot_host is None else sum(host != robot_host for host in hosts.values()),

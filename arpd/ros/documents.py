@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from typing import Any
 
@@ -68,21 +67,6 @@ def integer(name: str, value: Any, *, least: int = 0, most: int = MOST_INTEGER) 
     if type(value) is not int or not least <= value <= most:
         raise ValueError(f"{name} = {str(value)[:40]!r} is no integer from {least} to {most}")
     return value
-
-
-def number(name: str, value: Any, *, most: float) -> float:
-    """Return a number from 0 to ``most``; nothing stands for infinity where that is allowed.
-
-    Raises
-    ------
-    ValueError
-        If it is none; the message names it.
-    """
-    if value is None and most == math.inf:
-        return math.inf
-    if type(value) not in {int, float} or not 0 <= value <= most:
-        raise ValueError(f"{name} = {str(value)[:40]!r} is no number from 0 to {most:g}")
-    return float(min(value, 1e300)) if type(value) is int else value
 
 
 def _refuse_constant(name: str) -> Any:

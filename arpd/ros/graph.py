@@ -151,7 +151,7 @@ class Requests:
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node
-        self._topic = topic
+        self.topic = topic
 
     def tightest_ns(self) -> int:
         """Return the shortest deadline, 0 = none is requested (ns)."""
@@ -165,7 +165,7 @@ class Requests:
         """Name the nodes that read the topic."""
         return sorted(map(_name, self._all()))
 
-    def lost(self, *, offered_ns: int, offer_ns: int) -> list[str]:
+    def lost(self, offered_ns: int, offer_ns: int) -> list[str]:
         """Name the readers that hear a writer which offers the first deadline, and would not hear the second (ns)."""
         return sorted(
             f"{_name(reader)} requests {reader.deadline_ns} ns"
@@ -173,14 +173,8 @@ class Requests:
             if is_kept(offered_ns, reader.deadline_ns) and not is_kept(offer_ns, reader.deadline_ns)
         )
 
-    def objection(self, *, offered_ns: int, offer_ns: int) -> str:
-        """Return in words why the readers did not all match a writer that offers the second deadline (ns)."""
-        if lost := self.lost(offered_ns=offered_ns, offer_ns=offer_ns):
-            return f"DEADLINE {offer_ns or 'infinite'} would lose readers ({', '.join(lost)})"
-        return f"not all readers matched in time (in the graph: {', '.join(self.names()) or 'none'})"
-
     def _all(self) -> tuple[Endpoint, ...]:
-        return readers_of(self._node, self._topic)
+        return readers_of(self._node, self.topic)
 
 
 def _name(reader: Endpoint) -> str:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.model.observation import MessageRefusal
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import decode_price
-from arpd.ros.rate_limits import OncePerMinute, SourceRateLimiter
-from arpd.ros.raw_reader import RawReader, ReadingThread, doubles
+from arpd.ros.rate_limits import OncePerMinute, RateLimit
+from arpd.ros.raw_reader import RawReader, ReadingThread, doubles, octets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -21,13 +22,34 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
-    from arpd.model.price import Price
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
-_BURST_S = 2.0  # a writer may send what its rate gives in this time at once
-_MOST_PRICE, _PRICES_HZ = 1024, 100.0  # bytes, and messages of one daemon; arpd sends 33 a second at most
+_PERIOD_S = 2.0  # a writer may send what its rate gives in this time at once
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Letters(Generic[T]):
+    """What arrives on one of arpd's topics.
+
+    Parameters
+    ----------
+    topic, msg_type : its name, and the class of its messages: an array
+    decode : returns what the content of the array says; raises ValueError, which names the fault
+    most_bytes : of an honest message
+    most_hz : messages of an honest writer
+    """
+
+    topic: str
+    msg_type: Any = UInt8MultiArray
+    decode: Callable[[Any], T]
+    most_bytes: int
+    most_hz: float
+
+
+#: A daemon sends 33 prices a second at most.
+PRICES = Letters(topic=PRICE_TOPIC, msg_type=Float64MultiArray, decode=decode_price, most_bytes=1024, most_hz=100.0)
 
 
 class Inbox(Generic[T]):
@@ -37,11 +59,9 @@ class Inbox(Generic[T]):
 
     Parameters
     ----------
-    node, msg_type, topic, qos : of its reader
-    decode : returns what a sample holds; raises ValueError, which names the fault
-    deliver : called with the GUID of its writer, and what it holds
-    most_bytes : of a message
-    most_hz : messages of one writer
+    node, qos : of its reader
+    letters : what it takes
+    deliver : called with a sample, and what it says
     clock : monotonic clock (s)
     warn : says what was refused, once a minute of each writer and reason
 
@@ -53,26 +73,22 @@ class Inbox(Generic[T]):
     def __init__(
         self,
         node: Node,
-        msg_type: Any,
-        topic: str,
+        letters: Letters[T],
         qos: QoSProfile,
+        deliver: Callable[[Sample, T], None],
         *,
-        decode: Callable[[Sample], T],
-        deliver: Callable[[bytes, T], None],
-        most_bytes: int,
-        most_hz: float,
         clock: Callable[[], float] = time.monotonic,
         warn: Callable[[str], None] = log.warning,
     ) -> None:
-        self._topic = topic
-        self._decode, self._deliver = decode, deliver
-        self._most_bytes, self._most_hz = most_bytes, most_hz
+        self._letters, self._deliver = letters, deliver
+        self._content: Callable[[bytes], Any] = octets if letters.msg_type is UInt8MultiArray else doubles
         self._clock = clock
         self._warn = warn
-        self._limiter = SourceRateLimiter(rate_hz=most_hz, burst=most_hz * _BURST_S)
+        self._limit = RateLimit(letters.most_hz * _PERIOD_S, period_s=_PERIOD_S)
         self._logged = OncePerMinute()
         self.refused: Counter[MessageRefusal] = Counter()
-        self._reader = RawReader(node, msg_type, topic, qos, deliver=self.take, thread=ReadingThread.of(node.context))
+        thread = ReadingThread.of(node.context)
+        self._reader = RawReader(node, letters.msg_type, letters.topic, qos, deliver=self.take, thread=thread)
 
     def destroy(self) -> None:
         """Read no more."""
@@ -80,37 +96,21 @@ class Inbox(Generic[T]):
 
     def take(self, sample: Sample) -> None:
         """Take a message."""
-        if len(sample.data) > self._most_bytes:
+        letters = self._letters
+        if len(sample.data) > letters.most_bytes:
             self.refuse(MessageRefusal.SIZE, sample.writer, "a message is longer than any honest one")
-        elif not self._limiter.lets_pass(sample.writer, self._clock()):
-            self.refuse(MessageRefusal.RATE, sample.writer, f"one writer sends more than {self._most_hz:g} a second")
+        elif not self._limit.take(sample.writer, self._clock()):
+            self.refuse(MessageRefusal.RATE, sample.writer, f"one writer sends more than {letters.most_hz:g} a second")
         else:
             try:
-                found = self._decode(sample)
+                found = letters.decode(self._content(sample.data))
             except ValueError as fault:
                 self.refuse(MessageRefusal.MALFORMED, sample.writer, str(fault))
                 return
-            self._deliver(sample.writer, found)
+            self._deliver(sample, found)
 
     def refuse(self, reason: MessageRefusal, source: Hashable, words: str) -> None:
         """Count a message that is not believed, and say why."""
         self.refused[reason] += 1
         if self._logged.take((reason, source), self._clock()):
-            self._warn(f"ignored on {self._topic} (logged once a minute): {words}")
-
-
-def price_inbox(
-    node: Node, qos: QoSProfile, *, deliver: Callable[[bytes, Price], None], **options: Any
-) -> Inbox[Price]:
-    """Return an inbox for the prices of daemons; the arguments are those of `Inbox`."""
-    return Inbox(
-        node,
-        Float64MultiArray,
-        PRICE_TOPIC,
-        qos,
-        decode=lambda sample: decode_price(doubles(sample.data)),
-        deliver=deliver,
-        most_bytes=_MOST_PRICE,
-        most_hz=_PRICES_HZ,
-        **options,
-    )
+            self._warn(f"ignored on {self._letters.topic} (logged once a minute): {words}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,18 +94,13 @@ def read_ros(
             python=python, silence=f"{python} did not answer ({printable(str(error), longest=_MOST_FAULT)})"
         )
     facts = _last(done.stdout)
-    fault = str(facts.get("fault", ""))
+    found = {each.name: str(facts.get(each.name) or "") for each in fields(PythonRos)}
+    fault = found["fault"]
     if not fault and not facts.get("works"):
-        fault = ": ".join([f"it ended with status {done.returncode}", *_last_words(done.stderr)])
-    return PythonRos(
-        python=python,
-        rclpy=str(facts.get("rclpy") or ""),
-        numpy=str(facts.get("numpy") or ""),
-        numpy_file=str(facts.get("numpy_file") or ""),
-        venv=str(facts.get("venv") or ""),
-        rmw=str(facts.get("rmw") or ""),
-        fault=printable(" ".join(fault.split()), longest=_MOST_FAULT),
-    )
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        fault = ": ".join([f"it ended with status {done.returncode}", *said[-1:]])
+    found |= {"python": python, "fault": printable(" ".join(fault.split()), longest=_MOST_FAULT)}
+    return PythonRos(**found)
 
 
 def installed_distros(folder: Path = _ROS) -> list[str]:
@@ -114,10 +109,6 @@ def installed_distros(folder: Path = _ROS) -> list[str]:
         return sorted(path.name for path in folder.iterdir() if (path / "setup.bash").exists())
     except OSError:
         return []
-
-
-def _last_words(errors: str) -> list[str]:
-    return [line for line in errors.splitlines() if line.strip()][-1:]
 
 
 def _last(output: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from arpd.ros.graph_view import ON_EVERY_NODE
 from arpd.ros.names import is_full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from arpd.ros.graph import Endpoint
     from arpd.ros.graph_view import GraphView
@@ -31,28 +31,6 @@ class FoundTopic:
     readers: tuple[Endpoint, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Sides:
-    """Where endpoints are.
-
-    Parameters
-    ----------
-    is_here : returns whether an endpoint is on this host; it may be arpd's relay
-    relays : processes of arpd's relay on this host; its ghosts stand for nodes beyond
-    """
-
-    is_here: Callable[[Endpoint], bool]
-    relays: frozenset[bytes]
-
-    def is_ours(self, endpoint: Endpoint) -> bool:
-        """Return whether it belongs to a node of this host."""
-        return self.is_here(endpoint) and not self.is_relayed(endpoint)
-
-    def is_relayed(self, endpoint: Endpoint) -> bool:
-        """Return whether it belongs to arpd's relay on this host."""
-        return endpoint.participant in self.relays
-
-
 def is_confined(environment: Mapping[str, str] = os.environ) -> bool:
     """Return whether ROS in this process sees the nodes of this host only."""
     wanted = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
@@ -69,86 +47,102 @@ def cannot_tell_hosts(rmw: Rmw, environment: Mapping[str, str] = os.environ) -> 
     )
 
 
-def find_topics(view: GraphView) -> list[FoundTopic]:
-    """Return every topic of the graph that another process uses, sorted by name."""
-
-    def others(endpoints: Iterable[Endpoint]) -> tuple[Endpoint, ...]:
-        own = view.own.participant
-        return tuple(each for each in endpoints if each.participant != own and each.node not in _OWN_NODES)
-
-    found = (
-        FoundTopic(
-            name=topic,
-            types=tuple(sorted(types)),
-            writers=others(view.writers(topic)),
-            readers=others(view.readers(topic)),
-        )
-        for topic, types in sorted(view.types.items())
-        if is_full_name(topic)
-    )
-    return [topic for topic in found if topic.writers or topic.readers]
-
-
-def find_sides(view: GraphView, rmw: Rmw) -> Sides:
-    """Return where endpoints are; without knowledge none is on this host."""
-    all_are_here = is_confined()
-
-    def is_here(endpoint: Endpoint) -> bool:
-        return all_are_here or (rmw.tells_hosts and endpoint.host == view.own.host)
-
-    writers = filter(is_here, view.writers(ON_EVERY_NODE))
-    relays = {writer.participant for writer in writers if writer.node.rpartition("/")[2].startswith(_RELAYS)}
-    return Sides(is_here=is_here, relays=frozenset(relays))
-
-
-def sorted_topics(found: Sequence[FoundTopic], sides: Sides, *, prefix: str) -> list[LinkTopic]:
-    """Return the topics by the sides of their endpoints: pure.
+class LinkGraph:
+    """The topics of a graph, and the sides of their endpoints.
 
     Parameters
     ----------
-    prefix : under which a relay with one end republishes topics; empty = there is none
+    view : the graph
+    rmw : the middleware; where it tells no hosts, no endpoint is on this one, unless this process sees no other
     """
-    by_name = {topic.name: topic for topic in found}
-    outputs = {topic.name: prefix + topic.name for topic in found if _is_output(topic, by_name, sides, prefix)}
-    topics = []
-    for topic in found:
-        if topic.name in outputs.values():
-            continue
-        output = by_name.get(outputs.get(topic.name, ""))
-        sorted_topic = LinkTopic(
-            name=topic.name,
-            types=topic.types,
-            writers=_names(filter(sides.is_ours, topic.writers)),
-            readers=_names(filter(sides.is_ours, topic.readers)),
-            far_writers=_names(each for each in topic.writers if not sides.is_ours(each)),
-            far_readers=_names(each for each in topic.readers if not sides.is_ours(each)),
-            is_latched=any(endpoint.is_latched for endpoint in topic.writers or topic.readers),
+
+    def __init__(self, view: GraphView, rmw: Rmw) -> None:
+        self._view, self._rmw = view, rmw
+        self._relays: frozenset[bytes] = frozenset()  # processes on this host; their ghosts stand for nodes beyond
+        self._topics: dict[str, FoundTopic] = {}
+        self._changes = -1  # of the graph, when it was read last
+
+    def __getitem__(self, name: str) -> FoundTopic:
+        return self._topics[name]
+
+    def look(self) -> bool:
+        """Read the graph; return whether its topics have changed. A topic that left stays as it was."""
+        if self._changes == (changes := self._view.look()):
+            return False
+        before, self._changes, view = self._topics, changes, self._view
+        found = (
+            FoundTopic(
+                name=name,
+                types=tuple(sorted(types)),
+                writers=self._others(view.writers(name)),
+                readers=self._others(view.readers(name)),
+            )
+            for name, types in view.types.items()
+            if is_full_name(name)
         )
-        if output is not None:
-            beyond = _names(each for each in (*topic.readers, *output.readers) if not sides.is_here(each))
-            sorted_topic = replace(sorted_topic, relayed_as=output.name, far_readers=beyond)
-        topics.append(sorted_topic)
-    return topics
+        self._topics = before | {topic.name: topic for topic in found if topic.writers or topic.readers}
+        relays = (each for each in view.writers(ON_EVERY_NODE) if each.node.rpartition("/")[2].startswith(_RELAYS))
+        self._relays = frozenset(each.participant for each in relays if self._is_here(each))
+        return self._topics != before
 
+    def topics(self, *, prefix: str) -> list[LinkTopic]:
+        """Return every topic, sorted by name, with the sides of its endpoints.
 
-def obstacle(topic: FoundTopic, sides: Sides) -> str:
-    """Return why a reader of this process would disturb, or would get nothing; empty if it may measure."""
-    if not topic.writers:
-        return "nobody publishes it now"
-    if len(topic.types) > 1:
-        return f"it has {len(topic.types)} types: {', '.join(topic.types)}"
-    if any(not sides.is_here(writer) for writer in topic.writers):
-        return "it comes from beyond this host, and measuring would bring it over the link once more"
-    comes_over_the_link = any(map(sides.is_relayed, topic.writers))
-    if comes_over_the_link and not any(map(sides.is_ours, topic.readers)):
-        return "it would cross the link only to be measured: nobody here reads it"
-    return ""
+        Parameters
+        ----------
+        prefix : under which a relay with one end republishes topics; empty = there is none
+        """
+        found = self._topics
+        outputs = {name: prefix + name for name in found if prefix and self._is_output(found.get(prefix + name))}
+        topics = []
+        for name in sorted(found.keys() - set(outputs.values())):
+            topic = found[name]
+            sorted_topic = LinkTopic(
+                name=name,
+                types=topic.types,
+                writers=_names(filter(self._is_ours, topic.writers)),
+                readers=_names(filter(self._is_ours, topic.readers)),
+                far_writers=_names(each for each in topic.writers if not self._is_ours(each)),
+                far_readers=_names(each for each in topic.readers if not self._is_ours(each)),
+                is_latched=any(endpoint.is_latched for endpoint in topic.writers or topic.readers),
+            )
+            if name in outputs:
+                readers = (*topic.readers, *found[outputs[name]].readers)
+                beyond = _names(each for each in readers if not self._is_here(each))
+                sorted_topic = replace(sorted_topic, relayed_as=outputs[name], far_readers=beyond)
+            topics.append(sorted_topic)
+        return topics
 
+    def obstacle(self, name: str) -> str:
+        """Return why a reader of this process would disturb, or would get nothing; empty if it may measure."""
+        topic = self._topics[name]
+        if not topic.writers:
+            return "nobody publishes it now"
+        if len(topic.types) > 1:
+            return f"it has {len(topic.types)} types: {', '.join(topic.types)}"
+        if not all(map(self._is_here, topic.writers)):
+            return "it comes from beyond this host, and measuring would bring it over the link once more"
+        if any(map(self._is_relayed, topic.writers)) and not any(map(self._is_ours, topic.readers)):
+            return "it would cross the link only to be measured: nobody here reads it"
+        return ""
 
-def _is_output(topic: FoundTopic, by_name: Mapping[str, FoundTopic], sides: Sides, prefix: str) -> bool:
-    """Return whether a relay with one end on this host republishes the topic."""
-    output = by_name.get(prefix + topic.name) if prefix else None
-    return output is not None and bool(output.writers) and all(map(sides.is_relayed, output.writers))
+    def _others(self, endpoints: Iterable[Endpoint]) -> tuple[Endpoint, ...]:
+        own = self._view.own.participant
+        return tuple(each for each in endpoints if each.participant != own and each.node not in _OWN_NODES)
+
+    def _is_here(self, endpoint: Endpoint) -> bool:
+        return is_confined() or (self._rmw.tells_hosts and endpoint.host == self._view.own.host)
+
+    def _is_relayed(self, endpoint: Endpoint) -> bool:
+        return endpoint.participant in self._relays
+
+    def _is_ours(self, endpoint: Endpoint) -> bool:
+        """Return whether it belongs to a node of this host; a relay's ghosts do not."""
+        return self._is_here(endpoint) and not self._is_relayed(endpoint)
+
+    def _is_output(self, topic: FoundTopic | None) -> bool:
+        """Return whether a relay on this host alone writes it."""
+        return topic is not None and bool(topic.writers) and all(map(self._is_relayed, topic.writers))
 
 
 def _names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:

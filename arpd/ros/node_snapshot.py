@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.endpoints import PublisherState, SwapPhase, SwapResult, WithheldCause
+from arpd.model.endpoints import PublisherState, SwapResult, SwapState, WithheldCause
 from arpd.model.plan import NO_PLAN
 from arpd.model.quantities import printable
 from arpd.ros.documents import MOST_INTEGER, pack
@@ -61,7 +61,7 @@ def encode_snapshot(
     """
     document: dict[str, Any] = {"node": node, "publishers": _columns_of(tuple(states))}
     if answer != NO_PLAN:
-        document["answer"] = {**answer._asdict(), "refusal": shown_words(answer.refusal)}
+        document["answer"] = {**dataclasses.asdict(answer), "refusal": shown_words(answer.refusal)}
     if lacks_profile:
         document["lacks_profile"] = True
     if relay is not None:
@@ -77,30 +77,26 @@ def shown_words(text: str) -> str:
 
 def _columns_of(states: Sequence[PublisherState]) -> dict[str, list[Any]]:
     columns = {}
-    for name, usual, most in _fields(PublisherState):
+    for name, usual in _usual(PublisherState).items():
         values = [getattr(state, name) for state in states]
-        if values.count(usual) < len(values):
-            columns[name] = [_value(value, most) for value in values]
+        if name not in JOINED and values.count(usual) < len(values):
+            columns[name] = [_value(value, MOST.get(name, MOST_SECONDS)) for value in values]
     return columns
 
 
 def _shown(record: Any) -> dict[str, Any]:
     kind: Any = type(record)
-    return {name: _value(value) for name, usual, _ in _fields(kind) if (value := getattr(record, name)) != usual}
+    usual = _usual(kind)
+    return {name: _value(getattr(record, name)) for name in usual if getattr(record, name) != usual[name]}
 
 
 @cache
-def _fields(kind: Any) -> list[tuple[str, Any, float]]:
-    """Return name, usual value and bound of each field."""
-    return [
-        (
-            each.name,
-            each.default if each.default_factory is dataclasses.MISSING else each.default_factory(),
-            MOST.get(each.name, MOST_SECONDS),
-        )
+def _usual(kind: Any) -> dict[str, Any]:
+    """Return the usual value of each field."""
+    return {
+        each.name: each.default if each.default_factory is dataclasses.MISSING else each.default_factory()
         for each in dataclasses.fields(kind)
-        if kind is not PublisherState or each.name not in JOINED
-    ]
+    }
 
 
 def _value(value: Any, most: float = MOST_SECONDS) -> Any:
@@ -119,5 +115,5 @@ def _value(value: Any, most: float = MOST_SECONDS) -> Any:
 
 
 #: Names that a snapshot has, the most likely ones last.
-_NAMES = ("relay", *SwapPhase, *SwapResult, *WithheldCause, *(each[0] for each in _fields(PublisherState)))
+_NAMES = ("relay", *SwapState, *SwapResult, *WithheldCause, *_usual(PublisherState))
 LIKELY = "".join(f'"{name}":[' for name in _NAMES).encode()

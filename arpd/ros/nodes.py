@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from arpd.model.endpoints import PublisherState
+from arpd.ros.crossing import Graph
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from arpd.model.endpoints import NodeSnapshot
     from arpd.model.plan import PlanAnswer
@@ -39,8 +40,7 @@ class Nodes:
         self._nodes: dict[bytes, _Node] = {}  # the one heard last at the end
         self._live: tuple[PublisherState, ...] | None = None  # None when something changed since
         self._live_until_s = -math.inf  # until then time alone changes nothing
-        self._known_of: Any = None
-        self._is_shown: Callable[[str, str], bool] = lambda _node, _topic: False
+        self._graph = Graph()
 
     @property
     def pending(self) -> int:
@@ -78,45 +78,41 @@ class Nodes:
         publishers = sum(len(node.snapshot.publishers) for node in self._nodes.values())
         return publishers + len(snapshot.publishers) <= MOST_PUBLISHERS and len(self._nodes) < MOST_NODES
 
-    def see(self, is_shown: Callable[[str, str], bool]) -> None:
-        """Note what the graph shows now, as a function of node and topic."""
-        self._is_shown = is_shown
+    def see(self, graph: Graph) -> None:
+        """Note what the graph shows now; the same object again is no change."""
+        if graph is self._graph:
+            return
+        self._graph, self._live = graph, None
         for node in self._nodes.values():
+            node.states = None
             self._look(node)
 
-    def live(
-        self, now_s: float, known_of: Callable[[str, str], Mapping[str, Any]] = lambda _node, _topic: {}
-    ) -> tuple[PublisherState, ...]:
+    def live(self, now_s: float) -> tuple[PublisherState, ...]:
         """Return the publishers of the nodes heard lately, sorted by node and topic.
 
         It is the same tuple until something arrives, expires, or the graph changes.
-
-        Parameters
-        ----------
-        known_of : returns further fields of a node's publisher on a topic; another function may return others
         """
-        if self._live is not None and known_of is self._known_of and now_s <= self._live_until_s:
+        if self._live is not None and now_s <= self._live_until_s:
             return self._live
         self._nodes = {writer: node for writer, node in self._nodes.items() if now_s - node.at_s <= SILENT_S}
         found: dict[tuple[str, str], PublisherState] = {}
         for node in sorted(self._nodes.values(), key=lambda node: node.at_s):
-            if node.states is None or known_of is not self._known_of:
+            if node.states is None:
                 node.states = [
                     # 4 µs; `dataclasses.replace` takes twice that.
-                    PublisherState(**{**row, "announced_at_s": node.at_s, **known_of(node.snapshot.node, row["topic"])})
+                    PublisherState(**{**row, "announced_at_s": node.at_s, **self._graph.fields_of(row["topic"])})
                     for row in node.snapshot.publishers
                     if row["topic"] in node.shown
                 ]
             # Of a node that restarted, and its predecessor, what was told last counts.
             found.update(((state.node, state.topic), state) for state in node.states)
-        self._known_of = known_of
         self._live_until_s = min((node.at_s for node in self._nodes.values()), default=math.inf) + SILENT_S
         self._live = tuple(state for _, state in sorted(found.items(), key=lambda pair: pair[0]))
         return self._live
 
     def _look(self, node: _Node) -> None:
         topics = {row["topic"] for row in node.snapshot.publishers} - node.shown
-        if new := {topic for topic in topics if self._is_shown(node.snapshot.node, topic)}:
+        if new := {topic for topic in topics if self._graph.shows_writer(node.snapshot.node, topic)}:
             node.shown |= new
             node.states = self._live = None
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
 from arpd.ros.graph import Endpoint
-from arpd.ros.inbox import price_inbox
+from arpd.ros.inbox import PRICES, Inbox
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -44,7 +44,12 @@ class OtherDaemons:
         self._clock = clock
         self._heard_s: dict[bytes, float] = {}  # of each daemon heard lately; replaced, so any thread may read it
         self.others: tuple[str, ...] = ()
-        self.inbox = price_inbox(node, _QOS, deliver=lambda who, _price: self._hear(who), clock=clock)
+        self.inbox = Inbox(node, PRICES, _QOS, lambda sample, _price: self._hear(sample.writer), clock=clock)
+
+    @property
+    def are_heard(self) -> bool:
+        """Whether another daemon has sent its price lately."""
+        return bool(self._lately().keys() - {self._own})
 
     def active_daemon(self) -> str:
         """Return where the active daemon is, empty when it is this one."""

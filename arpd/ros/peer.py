@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from arpd.model.interface import LinkCounters
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
@@ -91,43 +90,35 @@ class Peer:
 
     def step(self) -> float:
         """Send a report if one is due; return when to call again at the latest (s)."""
-        if self._clock() >= self._due_s:
-            self._look()
+        if (now_s := self._clock()) >= self._due_s:
+            self._look(now_s)
         return self._due_s
 
-    def _look(self) -> None:
+    def _look(self, now_s: float) -> None:
         schedule, before = self._schedule, self._counters
         after = self._reader.read() or before
-        grown = after.rx_bytes - before.rx_bytes if after and before else 0
-        schedule.note_traffic(grown)
-        if self._clock() < schedule.due_s:
+        rx_bytes = after.rx_bytes - before.rx_bytes if after and before else 0
+        schedule.note_traffic(rx_bytes)
+        if now_s < schedule.due_s:
             self._due_s = schedule.due_s
             return
-        self._send(before, after)
-        self._due_s = schedule.look_s
-
-    def _send(self, before: LinkCounters | None, after: LinkCounters | None) -> None:
-        now_s = self._clock()
-        interval_s = now_s - self._schedule.sent_at_s
-        self._counters = after
         delays_s, trains = self._receiver.take()
-        if interval_s > 0:
-            self._publish(
-                encode_report(
-                    PeerReport(
-                        peer=self._name,
-                        received_at_s=now_s,
-                        interval_s=min(interval_s, _LONGEST_S),
-                        rx_bytes=after.rx_bytes - before.rx_bytes if after and before else 0,
-                        rx_packets=after.rx_packets - before.rx_packets if after and before else 0,
-                        delays_s=delays_s,
-                        trains=trains,
-                        last_probe=self._receiver.last_probe,
-                        probe_packets=self._receiver.packets_before,
-                    )
-                )
+        if (interval_s := now_s - schedule.sent_at_s) > 0:
+            report = PeerReport(
+                peer=self._name,
+                received_at_s=now_s,
+                interval_s=min(interval_s, _LONGEST_S),
+                rx_bytes=rx_bytes,
+                rx_packets=after.rx_packets - before.rx_packets if after and before else 0,
+                delays_s=delays_s,
+                trains=trains,
+                last_probe=self._receiver.last_probe,
+                probe_packets=self._receiver.packets_before,
             )
-        self._schedule.note_sent(now_s)
+            self._publish(encode_report(report))
+        self._counters = after
+        schedule.note_sent(now_s)
+        self._due_s = schedule.look_s
 
 
 @contextmanager
@@ -137,14 +128,7 @@ def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[
     reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, best_effort)
     peer = Peer(reports.publish, reader=reader, name=name)
     thread = ReadingThread(step=peer.step, rest_s=REST_S)
-    probes = RawReader(
-        node,
-        UInt8MultiArray,
-        PROBE_TOPIC,
-        best_effort,
-        deliver=peer.hear,
-        thread=thread,
-    )
+    probes = RawReader(node, UInt8MultiArray, PROBE_TOPIC, best_effort, deliver=peer.hear, thread=thread)
     try:
         yield peer, thread
     finally:

@@ -1,57 +1,35 @@
-"""Admission of receiver reports: which are believed, and how far."""
+"""What the peers report, as far as it is believed."""
 
 from __future__ import annotations
 
+import math
+import threading
 from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from arpd.estimate.peer_clocks import PeerClocks
 from arpd.model.observation import MessageRefusal
 
 if TYPE_CHECKING:
-    from arpd.model.probing import PeerReport
+    from collections.abc import Mapping
+
+    from arpd.model.probing import ClockOffset, PeerReport
 
 _MOST_PEERS = 32
-_SILENT_S = 10.0  # then another peer may take the place of a silent one
+_SILENT_S, _FORGOTTEN_S = 10.0, 60.0  # then another peer may take its place; a scrape or two must see its age grow
 _NUMBERS = 2**32  # of probe numbers, on the wire
 _LATELY = 1000  # probes: 100 s and more
 _MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
-_RADIO_S = 60.0
-_RADIO_MARGIN = 2.0
+_RADIO_S, _RADIO_MARGIN = 60.0, 2.0  # the bit rate of a radio changes with every packet, and is low while it idles
 
 
-class Ceiling:
-    """Upper bound on the rate of this host's link; no report may exceed it (bytes/s).
-
-    A wired interface states its speed. The bit rate of a radio changes with every packet and is low while it idles, so
-    twice the best of the last minute is the bound.
-    """
-
-    def __init__(self) -> None:
-        self._interface: float | None = None
-        self._radio: deque[tuple[float, float]] = deque()
-
-    def note(self, now_s: float, *, interface: float | None, radio: float | None) -> None:
-        """Note the rates that both state now; None = nothing (bytes/s)."""
-        self._interface = interface
-        if radio is not None:
-            self._radio.append((now_s, radio))
-        while self._radio and now_s - self._radio[0][0] > _RADIO_S:
-            self._radio.popleft()
-
-    @property
-    def bytes_per_second(self) -> float:
-        """Upper bound now."""
-        radio = max((rate for _, rate in self._radio), default=None)
-        stated = (self._interface, None if radio is None else _RADIO_MARGIN * radio)
-        return min([_MOST_BYTES_PER_SECOND, *(rate for rate in stated if rate)])
-
-
-class PeerAdmission:
-    """Admits reports that answer a probe of this daemon, from no more peers than the graph shows.
+class PeerReports:
+    """Keeps the reports that answer a probe of this daemon, from no more peers than the graph shows; for any thread.
 
     Probe numbers start at a random number, so only a receiver of the probes can answer them. While none was sent,
-    because the capacity is pinned, there is nothing to answer.
+    because the capacity is pinned, there is nothing to answer. No report exceeds what the
+    interface states, or twice the best bit rate that the radio had in the last minute.
 
     Parameters
     ----------
@@ -59,47 +37,78 @@ class PeerAdmission:
     """
 
     def __init__(self, base: int) -> None:
+        self._lock = threading.Lock()
         self._base = base
         self._newest = 0
-        self._heard_s: dict[str, float] = {}
-        self._peers: int | None = None
+        self._most_peers = _MOST_PEERS
+        self._interface = math.inf
+        self._radio: deque[tuple[float, float]] = deque()
+        self._heard_s: dict[str, float] = {}  # when each reported last
+        self._clocks = PeerClocks()
+        self._waiting: deque[PeerReport] = deque(maxlen=200)  # for a tick
 
     def number(self, probe: int) -> int:
         """Return the number of a probe on the wire; reports may answer it from now on."""
-        self._newest = max(self._newest, probe)
-        return (self._base + probe) % _NUMBERS
+        with self._lock:
+            self._newest = max(self._newest, probe)
+            return (self._base + probe) % _NUMBERS
 
     def see(self, peers: int) -> None:
         """Note how many peers the graph shows; so many names are admitted, known ones first."""
-        self._peers = peers
+        self._most_peers = min(_MOST_PEERS, max(1, peers))
 
-    def check(self, report: PeerReport, now_s: float, *, ceiling: float) -> PeerReport | MessageRefusal:
-        """Return the part of a report to believe, with our own number of its probe, or why it is refused.
+    def bound(self, now_s: float, *, interface: float | None, radio: float | None) -> None:
+        """Note the rates that interface and radio state now; None = nothing (bytes/s)."""
+        with self._lock:
+            self._interface = interface or math.inf
+            if radio:
+                self._radio.append((now_s, radio))
+            while self._radio and now_s - self._radio[0][0] > _RADIO_S:
+                self._radio.popleft()
+
+    @property
+    def ceiling(self) -> float:
+        """Most that a report may say (bytes/s)."""
+        radio = max((rate for _, rate in self._radio), default=math.inf)
+        return min(_MOST_BYTES_PER_SECOND, self._interface, _RADIO_MARGIN * radio)
+
+    def note(self, report: PeerReport, *, must_answer: bool = True) -> MessageRefusal | None:
+        """Keep the part of a report to believe, with our own number of its probe; return why it is refused.
 
         Parameters
         ----------
-        ceiling : upper bound on the rate of the link (bytes/s)
+        must_answer : False while another daemon sends the probes
         """
-        answered = (report.last_probe - self._base) % _NUMBERS
-        is_answer = 0 < answered <= self._newest and self._newest - answered <= _LATELY
-        if self._newest and not (is_answer and report.last_probe):
-            return MessageRefusal.UNANSWERED
-        if not self._has_room(report.peer, now_s):
-            return MessageRefusal.QUOTA
-        return replace(
-            report,
-            last_probe=answered if is_answer else 0,
-            rx_bytes=min(report.rx_bytes, int(ceiling * report.interval_s)),
-            trains=tuple(
+        with self._lock:
+            answered = (report.last_probe - self._base) % _NUMBERS
+            is_answer = 0 < answered <= self._newest and self._newest - answered <= _LATELY
+            if must_answer and self._newest and not (is_answer and report.last_probe):
+                return MessageRefusal.UNANSWERED
+            now_s = report.received_at_s
+            lately = [peer for peer, at_s in self._heard_s.items() if now_s - at_s <= _SILENT_S]
+            if report.peer not in lately and len(lately) >= self._most_peers:
+                return MessageRefusal.QUOTA
+            self._heard_s[report.peer] = now_s
+            ceiling = self.ceiling
+            trains = (
                 replace(train, duration_s=max(train.duration_s, train.payload_bytes / ceiling))
                 for train in report.trains
-            ),
-        )
+            )
+            believed = replace(
+                report,
+                last_probe=answered if is_answer else 0,
+                rx_bytes=min(report.rx_bytes, int(ceiling * report.interval_s)),
+                trains=tuple(trains),
+            )
+            self._waiting.append(believed)
+            self._clocks.note(believed)
+        return None
 
-    def _has_room(self, name: str, now_s: float) -> bool:
-        self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= _SILENT_S}
-        most = _MOST_PEERS if self._peers is None else min(_MOST_PEERS, max(1, self._peers))
-        if name not in self._heard_s and len(self._heard_s) >= most:
-            return False
-        self._heard_s[name] = now_s
-        return True
+    def take(self, now_s: float) -> tuple[tuple[PeerReport, ...], Mapping[str, float], Mapping[str, ClockOffset]]:
+        """Return the reports since the last call, the time since each peer's last one (s), and the peers' clocks."""
+        with self._lock:
+            reports = tuple(self._waiting)
+            self._waiting.clear()
+            self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= _FORGOTTEN_S}
+            ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._heard_s.items())}
+            return reports, ages_s, self._clocks.offsets(now_s)

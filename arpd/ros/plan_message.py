@@ -1,4 +1,4 @@
-"""The plan of all nodes as a message."""
+"""The plan of all nodes as a message, and the bounds of what it may ask of a publisher."""
 
 from __future__ import annotations
 
@@ -8,20 +8,38 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
-from arpd.model.plan import MOST_GENERATION
-from arpd.ros.bounds import LEAST_LEASE_S, MOST_LEASE_S, ROW_FIELDS
-from arpd.ros.documents import integer, number, pack, unpack
+from arpd.model.plan import MOST_GENERATION, TopicPlan
+from arpd.ros.documents import pack, unpack
+from arpd.ros.names import INFINITE_NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.plan import TopicPlan
+    from arpd.model.endpoints import WriterQos
 
 MOST_BYTES = 1 << 20  # of its text; a thousand topics take a tenth of it
 #: The last plan is kept for nodes that start later.
 PLAN_QOS = QoSProfile(
     depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
 )
+MOST_LEASE_S = 1e9
+# No topic that crosses a link is faster than 100 kHz. The timer of a deadline much shorter than the source's period
+# takes a tenth of a core (measured from 1 ms down, Fast DDS).
+LEAST_DEADLINE_NS = 10_000
+MOST_DEPTH = 5000
+#: Least and most of each number of a plan; beside depth each may be 0.
+BOUNDS: dict[str, tuple[float, float]] = {
+    "generation": (0, MOST_GENERATION),
+    "lease_s": (5.0, MOST_LEASE_S),  # the price, which renews a lease, comes once a second, and may be lost
+    "depth": (1, MOST_DEPTH),
+    "deadline_ns": (LEAST_DEADLINE_NS, INFINITE_NS),
+    "rate_hz": (0.0, 1e6),
+    "min_rate_hz": (0.0, 1e6),
+    "weight": (1e-6, 1e6),
+    "wire_bytes": (1.0, 1e12),  # the largest sample there is, to a thousand readers
+    "packets": (0, 10**9),
+}
+ROW = tuple(BOUNDS)[2:]  # fields of a row, in their order
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,7 +60,10 @@ class PlanMessage:
 
 def encode_plan(*, generation: int, lease_s: float, topics: Mapping[str, TopicPlan]) -> bytes:
     """Return the message of a plan; the same plan has the same bytes."""
-    rows = {topic: _row(row) for topic, row in sorted(topics.items())}
+    rows = {
+        topic: [None if (value := getattr(row, name)) == math.inf else value for name in ROW]
+        for topic, row in sorted(topics.items())
+    }
     return pack({"generation": generation, "lease_s": lease_s, "rows": rows})
 
 
@@ -58,12 +79,42 @@ def decode_plan(data: bytes) -> PlanMessage:
     rows = document.get("rows")
     if not isinstance(rows, dict):
         raise ValueError("a plan without rows")  # noqa: TRY004 - a message may hold anything, so it is no type error
-    lease_s = number("lease_s", document.get("lease_s"), most=MOST_LEASE_S)
-    if 0 < lease_s < LEAST_LEASE_S:
-        raise ValueError(f"lease_s = {lease_s} is below {LEAST_LEASE_S:g}; 0 = never ends")
-    generation = integer("generation", document.get("generation"), most=MOST_GENERATION)
-    return PlanMessage(generation=generation, lease_s=lease_s, rows=rows)
+    return PlanMessage(rows=rows, **{name: checked(name, document.get(name)) for name in ("generation", "lease_s")})
 
 
-def _row(row: TopicPlan) -> list[float | None]:
-    return [None if (value := getattr(row, name)) == math.inf else value for name in ROW_FIELDS]
+def checked_row(topic: str, row: Any, own: WriterQos) -> TopicPlan:
+    """Return the row of a plan message for a publisher whose application chose ``own``.
+
+    Raises
+    ------
+    ValueError
+        If a value is missing or out of bounds; the message names topic and field.
+    """
+    if not isinstance(row, list) or len(row) != len(ROW):
+        raise ValueError(f"{topic}: {str(row)[:80]!r} has not the numbers {', '.join(ROW)}")
+    try:
+        given = {name: checked(name, value, own) for name, value in zip(ROW, row, strict=True)}
+    except ValueError as fault:
+        raise ValueError(f"{topic}: {fault}") from fault
+    return TopicPlan(**given)
+
+
+def checked(name: str, value: Any, own: WriterQos | None = None) -> Any:
+    """Return a number of a plan within its bounds; the application's own depth and deadline always are.
+
+    Raises
+    ------
+    ValueError
+        If it is out of bounds; the message names the field.
+    """
+    if name == "rate_hz" and value is None:
+        return math.inf
+    least, most = BOUNDS[name]
+    is_whole = type(most) is int
+    if type(value) is int or (type(value) is float and not is_whole):
+        if (least <= value <= most) or (value == 0 and name != "depth"):
+            return (0 if value == INFINITE_NS else value) if is_whole else float(value)
+        if value == getattr(own, name, None):
+            return value
+    kind, zero = "an integer" if is_whole else "a number", "" if name == "depth" else ", or 0"
+    raise ValueError(f"{name} = {str(value)[:40]!r} is not {kind} from {least:g} to {most:g}{zero}")

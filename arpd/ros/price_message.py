@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 from arpd.model.price import Price
@@ -11,22 +12,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _VERSION = 1.0
-_NUMBERS = 9
+_FIELDS = tuple(each.name for each in fields(Price) if each.name != "is_stale")  # in this order
 
 
 def encode_price(price: Price) -> list[float]:
-    """Return the version of the message and the fields of a price, in a fixed order."""
-    return [
-        _VERSION,
-        price.share_per_weight,
-        price.capacity_bytes_per_second,
-        price.packet_overhead_s,
-        price.yielding_weight,
-        price.kept_minimum,
-        math.nan if price.loss_ratio is None else price.loss_ratio,
-        price.budget_share,
-        price.spare_share,
-    ]
+    """Return the version of the message and the fields of a price; nan stands for a loss that is not known."""
+    return [_VERSION, *(math.nan if (value := getattr(price, name)) is None else value for name in _FIELDS)]
 
 
 def decode_price(numbers: Sequence[float]) -> Price:
@@ -37,20 +28,10 @@ def decode_price(numbers: Sequence[float]) -> Price:
     ValueError
         If the numbers are no price; the message names the fault.
     """
-    if len(numbers) != _NUMBERS:
-        raise ValueError(f"price of {len(numbers)} numbers; {_NUMBERS} are needed")
-    version, share_per_weight, capacity, packet_overhead_s, yielding_weight, kept_minimum, loss, budget, spare = numbers
-    if version != _VERSION:
-        raise ValueError(f"price of version {version:g}; this arpd understands {_VERSION:g}")
+    if len(numbers) != 1 + len(_FIELDS) or numbers[0] != _VERSION:
+        raise ValueError(f"price of {len(numbers)} numbers; {1 + len(_FIELDS)} are needed, the first {_VERSION:g}")
+    found = dict(zip(_FIELDS, numbers[1:], strict=True))
+    loss = found.pop("loss_ratio")
     if not (math.isnan(loss) or 0.0 <= loss <= 1.0):
         raise ValueError(f"price with a loss of {loss:g}; a part of the packets is needed, or nan where it is unknown")
-    return Price(
-        share_per_weight=share_per_weight,
-        capacity_bytes_per_second=capacity,
-        packet_overhead_s=packet_overhead_s,
-        yielding_weight=yielding_weight,
-        kept_minimum=kept_minimum,
-        loss_ratio=None if math.isnan(loss) else loss,
-        budget_share=budget,
-        spare_share=spare,
-    )
+    return Price(**found, loss_ratio=None if math.isnan(loss) else loss)  # type: ignore[arg-type]

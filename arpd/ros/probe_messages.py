@@ -85,13 +85,8 @@ def encode_report(report: PeerReport) -> Any:
     return UInt8MultiArray(data=array("B", head + name + body))
 
 
-def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | None = None) -> PeerReport:
-    """Decode a report from the bytes of its message.
-
-    Parameters
-    ----------
-    received_at_s : the daemon's monotonic clock (s)
-    return_delay_s : received minus sent, by the time stamps of its MessageInfo, from two different clocks (s)
+def decode_report(data: bytes) -> PeerReport:
+    """Decode a report from the bytes of its message; when it arrived, and how late, its reader knows.
 
     Raises
     ------
@@ -124,14 +119,13 @@ def decode_report(data: bytes, *, received_at_s: float, return_delay_s: float | 
         raise ValueError("peer report with an impossible name or impossible numbers")
     return PeerReport(
         peer=peer,
-        received_at_s=received_at_s,
+        received_at_s=0.0,
         interval_s=interval_s,
         rx_bytes=rx_bytes,
         rx_packets=rx_packets,
         last_probe=last_probe,
         delays_s=delays,
         probe_packets=probe_packets,
-        return_delay_s=return_delay_s,
         trains=tuple(train for train in trains if train.duration_s > 0 and train.payload_bytes and train.packets),
     )
 

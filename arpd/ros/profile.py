@@ -45,17 +45,15 @@ def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
     environment, folder : environment and working directory of the process
     """
     named = [Path(environment[name]) for name in PROFILE_VARIABLES if environment.get(name)]
-    parsed = {path: _parsed(path) for path in (*named, *(folder / name for name in _IN_FOLDER))}
-    read = [path for path, root in parsed.items() if root is not None]
-    roots = [root for root in parsed.values() if root is not None]
-    if not roots:
+    read = {path: root for path in (*named, *map(folder.joinpath, _IN_FOLDER)) if (root := _parsed(path)) is not None}
+    if not read:
         return f"{named[0]} cannot be read" if named else f"{PROFILE_VARIABLES[0]} is not set"
     wanting = []
-    if not any(_seconds(period) <= _LONGEST_HEARTBEAT_S for root in roots for period in _all(root, "heartbeatPeriod")):
+    if not any(_period_s(each) <= _LONGEST_HEARTBEAT_S for each in _all(read, "heartbeatPeriod")):
         wanting.append(f"no heartbeat period up to {_LONGEST_HEARTBEAT_S:g} s")
-    if not any(size <= _MOST_MESSAGE_BYTES for root in roots for size in _message_sizes(root)):
+    if not any(size <= _MOST_MESSAGE_BYTES for size in _message_sizes(read)):
         wanting.append(f"no messages up to {_MOST_MESSAGE_BYTES} bytes")
-    return f"{read[0]} sets {' and '.join(wanting)}" if wanting else ""
+    return f"{next(iter(read))} sets {' and '.join(wanting)}" if wanting else ""
 
 
 @cache
@@ -83,30 +81,29 @@ def _parsed(path: Path) -> ET.Element | None:
         return None
 
 
-def _all(root: ET.Element, name: str) -> Iterator[ET.Element]:
+def _all(read: Mapping[Path, ET.Element], name: str) -> Iterator[ET.Element]:
     """Yield all elements of a name, whatever their namespace."""
-    return root.iterfind(f".//{{*}}{name}")
+    for root in read.values():
+        yield from root.iterfind(f".//{{*}}{name}")
 
 
-def _seconds(period: ET.Element) -> float:
-    """Return a DurationType in seconds; infinite where it is no number."""
-    parts = {part.tag.rpartition("}")[2]: (part.text or "").strip() for part in period}
+def _number(text: str | None) -> float:
+    """Return a number; infinite where it is none, such as DURATION_INFINITY."""
     try:
-        return float(parts.get("sec") or 0) + float(parts.get("nanosec") or 0) / 1e9
-    except ValueError:  # DURATION_INFINITY
+        return float(text or "inf")
+    except ValueError:
         return float("inf")
 
 
-def _message_sizes(root: ET.Element) -> Iterator[float]:
-    """Yield the limits of RTPS messages: of writers or participants by a property, of transports by their own."""
-    texts = [element.text for element in _all(root, "maxMessageSize")]
-    texts += [
-        each.findtext("{*}value")
-        for each in _all(root, "property")
-        if (each.findtext("{*}name") or "").strip() == "fastdds.max_message_size"
-    ]
-    for text in texts:
-        try:
-            yield float(text or "inf")
-        except ValueError:
-            continue
+def _period_s(period: ET.Element) -> float:
+    """Return a DurationType (s)."""
+    return _number(period.findtext("{*}sec", "0")) + _number(period.findtext("{*}nanosec", "0")) / 1e9
+
+
+def _message_sizes(read: Mapping[Path, ET.Element]) -> Iterator[float]:
+    """Yield the limits of RTPS messages: transports have an element, writers and participants a property."""
+    for element in _all(read, "maxMessageSize"):
+        yield _number(element.text)
+    for each in _all(read, "property"):
+        if (each.findtext("{*}name") or "").strip() == "fastdds.max_message_size":
+            yield _number(each.findtext("{*}value"))

@@ -3,80 +3,45 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-
 _MOST_SOURCES = 1000  # as many nodes as any robot has
-_SILENT_S = 10.0  # then a source gives up its place
-_LOG_AGAIN_S = 60.0
-_MOST_LOGGED = 32  # things in that time: invented names must not fill the log
 
 
-@dataclass(slots=True)
-class TokenBucket:
-    """Lets ``rate_hz`` through on average and ``burst`` at once; ``asked_s`` is when somebody asked last (s)."""
+class RateLimit:
+    """Lets so much of every source through in each period, so a sender that floods takes nothing from the others.
 
-    rate_hz: float
-    burst: float
-    asked_s: float = 0.0
-    _spent: float = 0.0
-
-    def take(self, now_s: float) -> bool:
-        """Return whether one more may pass now."""
-        self._spent = max(0.0, self._spent - self.rate_hz * max(0.0, now_s - self.asked_s))
-        self.asked_s = now_s
-        if self._spent + 1.0 > self.burst:
-            return False
-        self._spent += 1.0
-        return True
-
-
-class SourceRateLimiter:
-    """Limits every source to its own rate, so a sender that floods takes nothing from the others.
-
-    Sources are bounded: while more send, those that come late share one rate.
+    Sources are bounded: while more send, those that come late count as one.
 
     Parameters
     ----------
-    rate_hz, burst : limit of each
+    most : of each source in a period
+    period_s : its length (s)
+    most_sources : in a period
     """
 
-    def __init__(self, *, rate_hz: float, burst: float) -> None:
-        self._limit = rate_hz, burst
-        self._buckets: dict[Hashable, TokenBucket] = {}
-        self._late = TokenBucket(*self._limit)
+    def __init__(self, most: float, *, period_s: float, most_sources: int = _MOST_SOURCES) -> None:
+        self._most, self._period_s, self._most_sources = most, period_s, most_sources
+        self._ends_s = -math.inf
+        self._passed: Counter[Hashable] = Counter()
 
-    def lets_pass(self, source: Hashable, now_s: float) -> bool:
-        """Return whether one more message of a source may pass now."""
-        bucket = self._buckets.get(source)
-        return (self._bucket_for(source, now_s) if bucket is None else bucket).take(now_s)
-
-    def _bucket_for(self, source: Hashable, now_s: float) -> TokenBucket:
-        if len(self._buckets) >= _MOST_SOURCES:
-            self._buckets = {each: had for each, had in self._buckets.items() if now_s - had.asked_s < _SILENT_S}
-            if len(self._buckets) >= _MOST_SOURCES:
-                return self._late
-        self._buckets[source] = TokenBucket(*self._limit, asked_s=now_s)
-        return self._buckets[source]
+    def take(self, source: Hashable, now_s: float) -> bool:
+        """Return whether one more of a source may pass now."""
+        if now_s >= self._ends_s:
+            self._ends_s = now_s + self._period_s
+            self._passed.clear()
+        if source not in self._passed and len(self._passed) >= self._most_sources:
+            source = None
+        self._passed[source] += 1
+        return self._passed[source] <= self._most
 
 
-class OncePerMinute:
-    """Picks what is worth a line in the log: each thing once a minute, and at most 32 things in that time."""
+class OncePerMinute(RateLimit):
+    """Picks what is worth a line in the log: each thing once a minute, and 33 things in that time."""
 
     def __init__(self) -> None:
-        self._logged_s: dict[Hashable, float] = {}
-
-    def take(self, what: Hashable, now_s: float) -> bool:
-        """Return whether to log this now."""
-        if now_s - self._logged_s.get(what, -math.inf) < _LOG_AGAIN_S:
-            return False
-        if what not in self._logged_s and len(self._logged_s) >= _MOST_LOGGED:
-            self._logged_s = {known: at_s for known, at_s in self._logged_s.items() if now_s - at_s < _LOG_AGAIN_S}
-            if len(self._logged_s) >= _MOST_LOGGED:
-                return False
-        self._logged_s[what] = now_s
-        return True
+        super().__init__(1, period_s=60.0, most_sources=32)  # invented names must not fill the log

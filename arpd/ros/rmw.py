@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-_FAST_DDS = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rmw:
-    """A middleware, with its measured abilities.
+    """A middleware, with its measured abilities; one that was never measured has none.
 
     Parameters
     ----------
     name : its identifier, as in RMW_IMPLEMENTATION
-    is_fast_dds : whether it is the one that was measured: acknowledgements come quickly, readers number samples, so
-        that writers may be replaced live, and a profile keeps the endpoints of one participant from matching
-    tells_hosts : whether bytes 2 and 3 of an endpoint's GID name its host. Under DDS Security they do not: bytes 0 to 5
-        are a hash of the certificate's subject, the enclave
+    is_secured : whether SROS 2 is on
     """
 
     name: str
-    is_fast_dds: bool
-    tells_hosts: bool
+    is_secured: bool = False
+
+    @property
+    def is_fast_dds(self) -> bool:
+        """Whether it is the one that was measured.
+
+        Acknowledgements come quickly and readers number samples, so that writers may be replaced live; and a profile
+        keeps the endpoints of one participant from matching.
+        """
+        return self.name in {"rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"}
+
+    @property
+    def tells_hosts(self) -> bool:
+        """Whether bytes 2 and 3 of an endpoint's GID name its host.
+
+        Under DDS Security bytes 0 to 5 are a hash of the certificate's subject, the enclave.
+        """
+        return self.is_fast_dds and not self.is_secured
 
     @property
     def refusal(self) -> str:
@@ -35,24 +42,9 @@ class Rmw:
         return "" if self.is_fast_dds else f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
 
 
-def rmw_of(name: str) -> Rmw:
-    """Return a middleware by its identifier; one that was never measured has no abilities."""
-    return Rmw(name=name, is_fast_dds=name in _FAST_DDS, tells_hosts=name in _FAST_DDS)
-
-
-def _identifier() -> str:
+def current_rmw() -> Rmw:
+    """Return the middleware of this process."""
     from rclpy.utilities import get_rmw_implementation_identifier  # noqa: PLC0415 - this module works without ROS
 
-    return str(get_rmw_implementation_identifier())
-
-
-def current_rmw(identifier: Callable[[], str] = _identifier, *, environ: Mapping[str, str] = os.environ) -> Rmw:
-    """Return the middleware of this process.
-
-    Parameters
-    ----------
-    identifier : returns its name
-    environ : environment in which ROS 2 finds whether SROS 2 is on
-    """
-    rmw = rmw_of(identifier())
-    return replace(rmw, tells_hosts=rmw.tells_hosts and environ.get("ROS_SECURITY_ENABLE") != "true")
+    name = str(get_rmw_implementation_identifier())
+    return Rmw(name=name, is_secured=os.environ.get("ROS_SECURITY_ENABLE") == "true")

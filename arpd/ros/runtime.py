@@ -31,12 +31,14 @@ TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 
 
 def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
-    """Give Fast DDS arpd's profile (short heartbeats), unless the user has chosen another one than arpd's."""
+    """Give Fast DDS arpd's profile, unless the user has chosen another one than arpd's, and the sight of all topics."""
     chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
     if all(_is_ours(Path(path)) for path in chosen):
         for name in PROFILE_VARIABLES:
             environment.pop(name, None)
         environment[PROFILE_VARIABLES[0]] = str(profile)
+    if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
+        environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
     if profile == TWO_ENDED_PROFILE:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

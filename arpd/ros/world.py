@@ -8,33 +8,32 @@ import secrets
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.estimate.peer_clocks import PeerClocks
 from arpd.host.interface import InterfaceReader, MemoryReader, read_speed
 from arpd.host.radio import Radio
 from arpd.model.endpoints import Direction, PublisherState
-from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
-from arpd.model.probing import PeerReport, ProbeRequest
+from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.events import InvalidHandle
 from arpd.ros.graph_view import GraphView
-from arpd.ros.inbox import Inbox
+from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.ros.nodes import SILENT_S, Nodes
 from arpd.ros.other_daemons import OtherDaemons
-from arpd.ros.peer_reports import Ceiling, PeerAdmission
+from arpd.ros.peer_reports import PeerReports
 from arpd.ros.plan_sender import PlanSender
 from arpd.ros.price_message import encode_price
 from arpd.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.ros.raw_reader import ReadingThread, octets
+from arpd.ros.raw_reader import ReadingThread
 from arpd.ros.rcl import rcl
-from arpd.ros.rmw import Rmw, current_rmw
+from arpd.ros.rmw import current_rmw
 from arpd.ros.snapshot_decoder import decode_snapshot
 
 if TYPE_CHECKING:
@@ -43,17 +42,17 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import NodeSnapshot
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
+    from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import GraphSettings
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S, _RADIO_S = 0.2, 1.0  # between two looks at the graph, and at the radio
-_MEMORY_S = 0.5  # between two readings
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
-_PEER_FORGOTTEN_S = 60.0  # a scrape or two must see its age grow
-_MOST_REPORTS, _MOST_SNAPSHOTS = 200, 1000  # waiting for a tick
-_MOST_SNAPSHOT_BYTES = 128 * 1024  # ten times that of MOST_OF_NODE publishers
-_SNAPSHOTS_HZ, _REPORTS_HZ = 8.0, 60.0  # of one sender; arpd sends 5 and 50 at most
+_MOST_SNAPSHOTS = 1000  # waiting for a tick
+# Nodes send 5 a second at most, with a tenth of these bytes for MOST_OF_NODE publishers; peers send 50.
+_SNAPSHOTS = Letters(topic=PUBLISHERS_TOPIC, decode=decode_snapshot, most_bytes=128 * 1024, most_hz=8.0)
+_REPORTS = Letters(topic=REPORT_TOPIC, decode=decode_report, most_bytes=MOST_REPORT_BYTES, most_hz=60.0)
 _WHY = {
     MessageRefusal.UNANSWERED: "they answer no probe of this daemon",
     MessageRefusal.QUOTA: "the graph shows fewer peers than there are names",
@@ -72,8 +71,6 @@ class RosControl:
     graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     has_two_ends : whether a relay with two ends is configured, whose end on this host tells of it
-    rmw : the middleware; this process's own when None
-    randomness : gives the first number of a probe
 
     Attributes
     ----------
@@ -89,74 +86,43 @@ class RosControl:
         on_report: Callable[[], None],
         has_two_ends: bool = False,
         clock: Callable[[], float] = time.monotonic,
-        rmw: Rmw | None = None,
-        randomness: Callable[[int], int] = secrets.randbelow,
     ) -> None:
         self._node = node
         self._domain = node.context.get_domain_id()
-        self._rmw = rmw or current_rmw()
+        self._rmw = current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
         # At debug level, because the decision log says it too.
         self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
         self._radio = Radio()
         self._memory = MemoryReader()
-        self._memory_read: tuple[float, MemoryState | None] = (-math.inf, None)
+        self._memory_state = self._memory.read()
         self._radio_rate: float | None = None
         self._graph_settings = graph
         self._on_report_arrived = on_report
         self._clock = clock
-        self._lock = threading.Lock()
-        self._peer_admission = PeerAdmission(randomness(2**32))
-        self._ceiling = Ceiling()
-        self._reports: list[PeerReport] = []
+        self._reports = PeerReports(secrets.randbelow(2**32))
         self._snapshots: deque[tuple[bytes, NodeSnapshot, float]] = deque(maxlen=_MOST_SNAPSHOTS)  # with their arrival
-        self._peers_heard: dict[str, float] = {}  # when each reported last (s)
-        self._peer_clocks = PeerClocks()
         self._view = GraphView.of(node)
         self._changes = -1  # of the graph, when it was read last
         self._graph = Graph()  # of the thread that looks around
-        self._graph_seen = self._graph  # by the thread that ticks
-        self._fields_of = self._graph.fields_of  # the same object until that changes
-        self._crossing_counts = (0, 0)  # topics from the robot, and to it
         self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
         self._probes = 0
         self._probe_bytes = 0
         best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        many = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         self._price_publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, newest)
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         self.thread = ReadingThread.of(node.context)
         self._nodes = Nodes()  # of the thread that ticks
-        snapshots = Inbox(
-            node,
-            UInt8MultiArray,
-            PUBLISHERS_TOPIC,
-            QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT),
-            decode=lambda sample: decode_snapshot(octets(sample.data)),
-            deliver=lambda writer, snapshot: self._snapshots.append((writer, snapshot, clock())),
-            most_bytes=_MOST_SNAPSHOT_BYTES,
-            most_hz=_SNAPSHOTS_HZ,
-            clock=clock,
-        )
-        reports = Inbox(
-            node,
-            UInt8MultiArray,
-            REPORT_TOPIC,
-            best_effort,
-            decode=self._decode_report,
-            deliver=self._on_report,
-            most_bytes=MOST_REPORT_BYTES,
-            most_hz=_REPORTS_HZ,
-            clock=clock,
-        )
         self._sender = PlanSender(node)
         own = rcl().gid_of(self._price_publisher.handle)
         self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts, clock=clock)
         self._inboxes: dict[MessageKind, Inbox[Any]] = {
-            MessageKind.PUBLISHERS: snapshots,
-            MessageKind.REPORTS: reports,
+            MessageKind.PUBLISHERS: Inbox(node, _SNAPSHOTS, many, self._on_snapshot, clock=clock),
+            MessageKind.REPORTS: Inbox(node, _REPORTS, best_effort, self._on_report, clock=clock),
             MessageKind.PRICES: self._daemons.inbox,
         }
         self._has_two_ends = has_two_ends
@@ -172,27 +138,20 @@ class RosControl:
 
     def observe(self, now_s: float) -> Observation:
         """Return everything one tick sees."""
-        with self._lock:
-            reports, self._reports = tuple(self._reports), []
-            self._peers_heard = {
-                peer: at_s for peer, at_s in self._peers_heard.items() if now_s - at_s <= _PEER_FORGOTTEN_S
-            }
-            peer_ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._peers_heard.items())}
-            peer_clocks = self._peer_clocks.offsets(now_s)
+        reports, peer_ages_s, peer_clocks = self._reports.take(now_s)
         self._take_snapshots()
-        if (graph := self._graph) is not self._graph_seen:
-            self._graph_seen, self._fields_of = graph, graph.fields_of
-            self._nodes.see(graph.shows_writer)
+        graph = self._graph
+        self._nodes.see(graph)
         publishers = self._join(now_s)
         pinned = self._graph_settings
         relay = self._nodes.relay(now_s) if self._has_two_ends else None
-        sensing, actuation = self._crossing_counts
+        sensing, actuation = graph.topics[Direction.SENSING], graph.topics[Direction.ACTUATION]
         return Observation(
             now_s=now_s,
             counters=self._reader.read(),
             reports=reports,
             publishers=publishers,
-            memory=self._memory_state(now_s),
+            memory=self._memory_state,
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
             peers=graph.peers,
@@ -210,17 +169,10 @@ class RosControl:
             remote_participants=graph.remote_participants,
         )
 
-    def _memory_state(self, now_s: float) -> MemoryState:
-        read_s, state = self._memory_read
-        if state is None or now_s - read_s >= _MEMORY_S:
-            state = self._memory.read()
-            self._memory_read = now_s, state
-        return state
-
     def _join(self, now_s: float) -> tuple[PublisherState, ...]:
         """Return the live publishers with what the graph shows of them; what did not change is not made again."""
         if now_s >= self._endpoints_until_s:
-            self._endpoints = self._nodes.live(now_s, self._fields_of)
+            self._endpoints = self._nodes.live(now_s)
             self._endpoints_until_s = now_s + _JOIN_S_PER_PUBLISHER * len(self._endpoints)
         return self._endpoints
 
@@ -240,13 +192,11 @@ class RosControl:
 
     def probe(self, request: ProbeRequest) -> None:
         """Send one train, or a ping, back to back."""
-        with self._lock:
-            number = self._peer_admission.number(request.number)
+        head = ProbeHeader(
+            train=self._reports.number(request.number), index=0, packets=request.packets, quiet_s=request.quiet_s
+        )
         packets = [
-            encode_probe(
-                ProbeHeader(train=number, index=index, packets=request.packets, quiet_s=request.quiet_s),
-                payload_bytes=request.packet_bytes,
-            )
+            encode_probe(replace(head, index=index), payload_bytes=request.packet_bytes)
             for index in range(request.packets)
         ]
         for packet in packets:
@@ -271,24 +221,18 @@ class RosControl:
                 words = f"too many publishers; those of {snapshot.node} are left out"
                 self._inboxes[MessageKind.PUBLISHERS].refuse(MessageRefusal.QUOTA, writer, words)
 
-    def _decode_report(self, sample: Sample) -> PeerReport:
-        return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
-        return decode_report(octets(sample.data), received_at_s=self._clock(), return_delay_s=return_delay_s)
+    def _on_snapshot(self, sample: Sample, snapshot: NodeSnapshot) -> None:
+        self._snapshots.append((sample.writer, snapshot, self._clock()))
 
-    def _on_report(self, writer: bytes, report: PeerReport) -> None:
-        now_s = report.received_at_s
-        with self._lock:
-            believed = self._peer_admission.check(report, now_s, ceiling=self._ceiling.bytes_per_second)
-            if isinstance(believed, PeerReport):
-                self._reports.append(believed)
-                del self._reports[:-_MOST_REPORTS]
-                self._peers_heard[report.peer] = now_s
-                self._peer_clocks.note(believed)
-        if isinstance(believed, MessageRefusal):
-            words = f"reports of {report.peer!r}: {_WHY[believed]}"
-            self._inboxes[MessageKind.REPORTS].refuse(believed, writer, words)
-        else:
+    def _on_report(self, sample: Sample, report: PeerReport) -> None:
+        return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
+        report = replace(report, received_at_s=self._clock(), return_delay_s=return_delay_s)
+        refusal = self._reports.note(report, must_answer=not self._daemons.active_daemon())
+        if refusal is None:
             self._on_report_arrived()
+        elif refusal is not MessageRefusal.UNANSWERED or not self._daemons.are_heard:  # else it answers one that drove
+            words = f"reports of {report.peer!r}: {_WHY[refusal]}"
+            self._inboxes[MessageKind.REPORTS].refuse(refusal, sample.writer, words)
 
     def _refused(self) -> Mapping[tuple[MessageKind, MessageRefusal], int]:
         return {
@@ -300,10 +244,11 @@ class RosControl:
     # -- what changes slowly
 
     def _look_around(self) -> None:
-        """Read graph and radio again and again, until the node is destroyed or its context ends."""
+        """Read memory, graph and radio again and again, until the node is destroyed or its context ends."""
         radio_s = -math.inf
         while self._node.context.ok():
             try:
+                self._memory_state = self._memory.read()
                 self._read_graph()
                 if self._clock() >= radio_s:
                     radio_s = self._clock() + _RADIO_S
@@ -311,7 +256,7 @@ class RosControl:
             except InvalidHandle:
                 return
             except Exception:
-                log.exception("graph or radio cannot be read; arpd tries again")
+                log.exception("memory, graph or radio cannot be read; arpd tries again")
             time.sleep(_LOOK_AROUND_S)
 
     def _read_graph(self) -> None:
@@ -321,13 +266,9 @@ class RosControl:
         self._changes = changes
         self._daemons.see(self._view.writers(PRICE_TOPIC))
         if graph != self._graph:
-            directions = [crossing.direction for crossing in graph.crossings.values()]
-            self._crossing_counts = directions.count(Direction.SENSING), directions.count(Direction.ACTUATION)
             self._graph = graph
-            with self._lock:
-                self._peer_admission.see(graph.peers or 0)
+            self._reports.see(graph.peers or 0)
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
-        with self._lock:
-            self._ceiling.note(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)
+        self._reports.bound(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)

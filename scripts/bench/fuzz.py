@@ -23,7 +23,7 @@ READERS = {
     "report, probe": ("ros.test_probe_messages", "test_any_other_bytes_are_refused_or_read_as_finite_numbers"),
     "snapshot": ("ros.test_node_snapshot", "test_any_bytes_are_a_snapshot_or_refused"),
     "plan": ("ros.test_plan_message", "test_any_bytes_are_a_plan_or_refused"),
-    "price": ("ros.test_octets", "test_any_bytes_are_refused_or_read"),
+    "price": ("ros.test_inbox", "test_any_bytes_are_refused_or_read"),
     "chunk": ("relay.test_envelope", "test_any_bytes_are_a_chunk_or_refused"),
     "call": ("relay.test_calls", "test_random_bytes_raise_nothing_else"),
     "sign": ("relay.test_flight", "test_another_version_or_length_is_refused"),

@@ -11,6 +11,16 @@ from arpd.ros.nodes import Nodes
 from arpd.ros.snapshot_decoder import decode_snapshot
 
 
+class Everybody:
+    """A graph that shows whatever nodes tell."""
+
+    def shows_writer(self, _node, _topic):
+        return True
+
+    def fields_of(self, _topic):
+        return {}
+
+
 class Announced:
     """Hears the snapshots of all nodes.
 
@@ -52,5 +62,5 @@ class Announced:
         snapshot = decode_snapshot(bytes(message.data))
         with self._lock:
             self._nodes.note(snapshot.node.encode(), snapshot, time.monotonic())
-            self._nodes.see(lambda _node, _topic: True)
+            self._nodes.see(Everybody())
         self._on_news([state for state in self.states if state.node == snapshot.node])

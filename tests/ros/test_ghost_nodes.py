@@ -11,8 +11,7 @@ from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
-from arpd.endpoint.writer_swap import SwapState
-from arpd.model.endpoints import WriterQos
+from arpd.model.endpoints import SwapState, WriterQos
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.envelope import Record

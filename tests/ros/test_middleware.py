@@ -17,10 +17,10 @@ from arpd.ros import graph_view
 from arpd.ros.crossing import read_graph
 from arpd.ros.graph import writers_of
 from arpd.ros.graph_view import GraphView
-from arpd.ros.rmw import current_rmw, rmw_of
+from arpd.ros.rmw import Rmw, current_rmw
 
 pytestmark = pytest.mark.ros
-OTHER = rmw_of("rmw_cyclonedds_cpp")
+OTHER = Rmw(name="rmw_cyclonedds_cpp")
 
 
 def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):

@@ -20,6 +20,7 @@ from arpd.ros.peer import serving
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.world import RosControl
 from tests.ros.domain import DOMAIN
+from tests.ros.price import FREE
 
 SIZE = 1200
 BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -60,7 +61,7 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually
     node.create_subscription(
         UInt8MultiArray,
         REPORT_TOPIC,
-        lambda message: reports.append(decode_report(bytes(message.data), received_at_s=time.monotonic())),
+        lambda message: reports.append(decode_report(bytes(message.data))),
         BEST_EFFORT,
     )
     numbers = count(1000)
@@ -85,6 +86,27 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually
     assert {report.peer for report in reports} == {"base-3f2a"}
     counts = [report.probe_packets for report in reports]
     assert counts == sorted(counts)
+
+
+def test_of_two_daemons_one_drives_and_neither_refuses_what_answers_the_other(daemon, ros, eventually):
+    """The one with the lower GUID drives until it is silent; what answers its probes is nothing to complain of."""
+    both = daemon, Daemon(ros.node("other"))
+
+    def know_each_other():
+        for each in both:
+            each.control.set_price(FREE)
+        return all(each.control._daemons.are_heard for each in both)
+
+    eventually("they know each other", know_each_other)
+    driving, standing = sorted(both, key=lambda each: each.observe().active_daemon)
+    standing.probe()
+    eventually(
+        "the one that stands by hears a report",
+        lambda: (know_each_other() and driving.probe()) or standing.observe().reports,
+    )
+    assert not any(each.observe().taken.refused for each in both)
+    eventually("both are in the graph", lambda: all(each.observe().other_daemons == ("this host",) for each in both))
+    eventually("the one that is silent is succeeded", lambda: not standing.observe().active_daemon)
 
 
 def test_the_daemon_knows_the_peers_clock(daemon, eventually):

@@ -3,22 +3,24 @@
 import math
 import re
 import threading
+from dataclasses import replace
 
 import pytest
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.endpoint.writer_swap import SwapTiming
+from arpd.govern.progress import is_confirmed
 from arpd.model.endpoints import RefusalReason, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from tests.ros.announced import Announced
 from tests.ros.clock import SkippingClock
-from tests.ros.plans import retune
+from tests.ros.plans import Plans, retune
 from tests.ros.price import FREE, TERMS, PriceSender, costing
 from tests.waiting import PATIENCE_S
 
@@ -26,6 +28,7 @@ TOPIC = "/swapped"
 DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
 DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
 DEEP = 2000  # at 200 Hz ten seconds
+LEASE_S = 60.0  # longer than a busy machine stops a process
 # This host loses nothing, so readers match at once. And it waits: no swap goes on without its acknowledgements.
 PATIENT = SwapTiming(settle_s=0.1, hold_s=60.0, patience_s=60.0, match_timeout_s=60.0, drain_s=60.0)
 
@@ -160,6 +163,29 @@ def test_silence_ends_the_wait_for_a_plan_and_no_price(clock, publisher, send_pr
     assert is_paced_at(publisher, 5.0)(), "a plan finds the last price"
 
 
+def test_a_plan_outlives_its_daemon_only_as_long_as_was_granted(ros, clock, publisher, send_price, eventually):
+    """Plan and price stay while the price comes, and end with the lease; a returning daemon plans again."""
+    send_plan = Plans(ros.node("planner"))
+    row = TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=10**9, depth=40, **TERMS)
+
+    def plan_and_price(generation, *rates_hz):
+        send_plan(generation, {TOPIC: row}, lease_s=LEASE_S)
+        eventually("the plan is in force", lambda: publisher.plan == row)
+        for rate_hz in rates_hz:
+            clock.skip(0.9 * LEASE_S)
+            send_price(costing(rate_hz), "the price is in force", is_paced_at(publisher, rate_hz))
+
+    def has_ended():
+        clock.skip(1.1 * LEASE_S)  # more than once, because a last price may still be under way
+        return (publisher.plan.depth, publisher.plan.rate_hz) == (10, math.inf)
+
+    plan_and_price(7, 10.0, 20.0, 30.0)
+    assert publisher.plan == row
+    eventually("the plan ends", has_ended)
+    eventually("the price ends", lambda: publisher.state().paced_rate_hz == math.inf)
+    plan_and_price(1, 50.0)  # of another daemon, without knowledge of its predecessor
+
+
 def test_deadline_is_clamped_to_the_tightest_reader(ros, publisher, background, eventually):
     """An offered deadline longer than a reader requests is clamped, so no reader is lost."""
     retune(publisher, deadline_ns=100_000_000)
@@ -204,7 +230,7 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, background, monke
         raise RuntimeError("the middleware is out of resources")
 
     monkeypatch.setattr(other._flow, "service", fail)
-    other.retune(other.plan)
+    retune(other, rate_hz=50.0)
     retune(publisher, rate_hz=20.0)
     background(publish_at(publisher, 100))
     eventually("it is tried again", lambda: len(failures) > 1)
@@ -247,5 +273,33 @@ def test_an_override_out_of_bounds_is_refused_by_name(ros, name, value):
     """The message names the parameter and what is wrong."""
     parameter = f"qos_overrides.{TOPIC}.publisher.{name}"
     node = ros.node("overridden", parameter_overrides=[Parameter(parameter, value=value)])
-    with pytest.raises(ValueError, match=rf"{re.escape(parameter)}: {name}.* = {value} is "):
+    with pytest.raises(ValueError, match=rf"{re.escape(parameter)}: {name}.* = '{value}' is "):
         AdaptivePublisher(node, String, TOPIC, 10)
+
+
+REFUSED_ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=500_000_000, depth=40)
+
+
+def test_a_latched_publisher_is_settled_by_its_rate(ros):
+    """A TRANSIENT_LOCAL topic refuses new QoS and names the way out; its rate confirms the plan."""
+    latched = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = AdaptivePublisher(ros.node("talker"), String, "/map", latched)
+    assert publisher.state().refusal_reason is RefusalReason.NONE
+    publisher.retune(REFUSED_ROW)
+    state = publisher.state()
+    assert (state.refusal_reason, state.depth, state.rate_hz) == (RefusalReason.TRANSIENT_LOCAL, 3, 5.0)
+    assert "swap_transient_local" in state.refusal
+    assert is_confirmed(state, REFUSED_ROW)
+    publisher.retune(replace(REFUSED_ROW, depth=3, deadline_ns=0))
+    assert not publisher.state().refusal
+
+
+def test_a_publisher_that_keeps_all_gets_no_writer_for_a_depth(ros, eventually):
+    """With KEEP_ALL a new depth makes no swap, a new deadline makes one, and the plan is confirmed."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, "/all", QoSProfile(history=QoSHistoryPolicy.KEEP_ALL))
+    publisher.retune(TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
+    assert not publisher._flow._swap.is_busy
+    publisher.retune(REFUSED_ROW)
+    eventually("the plan is confirmed", lambda: is_confirmed(publisher.state(), REFUSED_ROW))
+    eventually("the swap ends", lambda: not publisher._flow._swap.is_busy)
+    assert sum(publisher.state().swaps_by_result.values()) == 1

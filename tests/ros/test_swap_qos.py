@@ -144,7 +144,7 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     eventually("the silent writer misses deadlines", lambda: len(events.missed) > 1)
     old, asked = publisher._writer, []
     monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains
-    monkeypatch.setattr(old, "_is_current", lambda writer: asked.append(old is not publisher._writer) or not asked[-1])
+    monkeypatch.setattr(old, "_in_force", lambda: asked.append(old is not publisher._writer) or publisher._writer)
     before = publisher.state().deadlines_missed
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
     # It still misses a deadline five times a second; its callbacks are called, and stay silent.

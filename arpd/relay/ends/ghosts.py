@@ -183,7 +183,7 @@ class GhostWriter:
         """Ask for the plan's QoS, which steps put in force."""
         self.due_s = self._clock() + _ASK_AGAIN_S
         wanted = self._wanted()
-        if self._lost_to(wanted):
+        if self._requests.lost(self._swap.qos.deadline_ns, wanted.deadline_ns):
             wanted = replace(wanted, deadline_ns=self._swap.qos.deadline_ns)
         self._swap.request(wanted)
 
@@ -232,20 +232,19 @@ class GhostWriter:
             node=self._node,
             create=partial(self._node.create_publisher, self._msg_type, self._topic, profile),
             event_callbacks=None,
-            is_current=lambda _writer: True,
-            disconnected=lambda: self._lost_to(qos),
-            are_reliable=self._requests.are_reliable,
+            requests=self._requests,
+            in_force=self._in_force,
         )
 
-    def _lost_to(self, qos: WriterQos) -> list[str]:
-        """Name the readers that hear it and would not hear a writer with this QoS."""
-        return self._requests.lost(offered_ns=self._swap.qos.deadline_ns, offer_ns=qos.deadline_ns)
+    def _in_force(self) -> RosWriter | None:
+        swap = getattr(self, "_swap", None)  # inside its constructor there is only the first writer
+        return None if swap is None else swap.current
 
     def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
         if result not in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
             return
         offered_ns = self._swap.qos.deadline_ns
-        words = swap_failure(self._topic, result, qos, requests=self._requests, offered_ns=offered_ns)
+        words = swap_failure(result, qos, requests=self._requests, offered_ns=offered_ns)
         if words != self._refusal:
             self._refusal = words
             log.warning(words)

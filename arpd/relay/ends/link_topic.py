@@ -82,11 +82,6 @@ class LinkTopic:
         self._shared = NodePublishers.of(node)
         self._shared.adopt(self)
 
-    @property
-    def payload_bytes(self) -> float:
-        """Mean size of a sample (bytes)."""
-        return self._lane.payload_bytes
-
     def send(self, topic: str, writer: Writer, sample: Sample) -> None:
         """Let a sample wait for its turn; of a group, its set once that is complete."""
         record = Record(writer.key, sample.sequence, sample.data)
@@ -116,11 +111,6 @@ class LinkTopic:
         self._node.destroy_publisher(self._publisher)
 
     # -- what `NodePublishers` calls
-
-    @property
-    def has_refused(self) -> bool:
-        """It takes every plan."""
-        return False
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""

@@ -12,10 +12,10 @@ import threading
 import time
 from collections import defaultdict
 from contextlib import contextmanager
-from dataclasses import replace
 
 from arpd.endpoint.writer import RosWriter
-from arpd.endpoint.writer_swap import SwapState, WriterSwap
+from arpd.endpoint.writer_swap import WriterSwap
+from arpd.model.endpoints import SwapState
 from arpd.ros import rmw
 from scripts.bench.child import answer, commands, number_of, sample_of, spinning
 
@@ -198,8 +198,7 @@ def daemon(config):
     """Run the daemon; on this one host a node in another process counts as across the link."""
     from arpd.cli.main import main
 
-    rmw_of = rmw.rmw_of
-    rmw.rmw_of = lambda name: replace(rmw_of(name), tells_hosts=False)
+    rmw.Rmw.tells_hosts = False
     main(["run", "--config", config])
 
 

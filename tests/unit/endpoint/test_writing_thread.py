@@ -1,15 +1,38 @@
 """The thread that writes, and the locks around it."""
 
+import math
 import threading
+import time
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
+from tests.waiting import eventually
 
 LONG_S = 5.0
+
+
+def test_a_turn_that_finds_its_lane_taken_waits_until_it_is_free():
+    """While a thread blocks inside a write, nobody wakes up for the swap of its topic; the end of the write does."""
+    thread, lane, calls = WritingThread(PacedQueue(), name="writing"), Lane(lambda _sample: None), []
+
+    class Swap:
+        def service(self, _now_s):
+            calls.append(thread.claim(lane, self))
+            return math.inf
+
+    assert thread.claim(lane, Swap())
+    thread.start()
+    thread.wake(Swap())
+    eventually("it has its turn", lambda: calls)
+    time.sleep(0.05)
+    thread.release(lane)
+    eventually("it has another one", lambda: calls == [False, True])
+    thread.stop()
 
 
 def test_a_context_that_shuts_down_can_stop_it():

@@ -242,7 +242,7 @@ def test_a_refusal_is_told_once_however_often_it_is_announced(log):
 
 # -- one event each
 
-SWAP = swapped(1, matching=3.1, watching=0.0, proving=0.3, draining=2.0)
+SWAP = swapped(1, matching=3.1, watching=0.0, proving=0.3)
 KEPT = {"last_swap": swapped(1, "unmatched"), "refusal": "/r is late", "refusal_reason": RefusalReason.UNMATCHED}
 REFUSING = {"refusal": "/camera is odd", "refusal_reason": RefusalReason.TRANSIENT_LOCAL}
 

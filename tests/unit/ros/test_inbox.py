@@ -1,5 +1,7 @@
 """Messages from the network, refused without harm, and without a network."""
 
+import math
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,15 +9,18 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from hypothesis import given
+from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.model.observation import MessageRefusal
 from arpd.ros import inbox
-from arpd.ros.inbox import Inbox
+from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.price_message import encode_price
-from arpd.ros.raw_reader import Sample
+from arpd.ros.raw_reader import Sample, doubles, octets
+from tests.examples import examples
 from tests.ros.price import FREE
 
 LOW, OWN, HIGH = (bytes([number]) * 16 for number in (1, 2, 3))
@@ -46,27 +51,21 @@ QOS: Any = None
 def letters(clock):
     """Return an inbox of numbers; `found` has those that arrived, and `words` what was said."""
     found, words = [], []
-    made: Any = Inbox(
-        NODE,
-        None,
-        "/letters",
-        QOS,
-        decode=lambda sample: int(sample.data),
-        deliver=lambda _writer, number: found.append(number),
-        most_bytes=10,
-        most_hz=5.0,
-        clock=clock,
-        warn=words.append,
-    )
+    kind = Letters(topic="/letters", decode=int, most_bytes=26, most_hz=5.0)
+    made: Any = Inbox(NODE, kind, QOS, lambda _sample, number: found.append(number), clock=clock, warn=words.append)
     made.found, made.words = found, words
     return made
+
+
+def letter(content, writer=LOW):
+    return Sample(serialize_message(UInt8MultiArray(data=content)), writer, 1)
 
 
 def test_a_flood_of_one_writer_costs_no_other(letters):
     """Beyond its rate a writer is not heard, and another one is."""
     for number in range(1000):
-        letters.take(Sample(str(number).encode(), LOW, 1))
-    letters.take(Sample(b"7", HIGH, 1))
+        letters.take(letter(b"%d" % number))
+    letters.take(letter(b"7", HIGH))
     assert letters.found == [*range(10), 7]
     assert letters.refused == {MessageRefusal.RATE: 990}
 
@@ -74,8 +73,8 @@ def test_a_flood_of_one_writer_costs_no_other(letters):
 def test_nonsense_is_counted_by_reason_and_said_once_a_minute(letters, clock):
     """Neither a message that is too long, nor one that is none, is delivered; each source is named once a minute."""
     for clock.now_s in (0.0, 1.0, 61.0):
-        letters.take(Sample(b"x", LOW, 1))
-    letters.take(Sample(b"1" * 11, LOW, 1))
+        letters.take(letter(b"x"))
+    letters.take(letter(b"1" * 11))
     assert letters.refused == {MessageRefusal.MALFORMED: 3, MessageRefusal.SIZE: 1}
     assert len(letters.words) == 3
     for number in range(10_000):
@@ -125,3 +124,24 @@ def test_what_is_no_price_makes_no_daemon(price, daemons):
     """Nonsense is counted, and changes nothing."""
     assert [price(LOW, numbers) for numbers in ([1.0], [1.0] * 1000)] == ["", ""]
     assert daemons.inbox.refused == {MessageRefusal.MALFORMED: 1, MessageRefusal.SIZE: 1}
+
+
+VALUES = [1.0, -math.inf, 2.5]
+NUMBERS = serialize_message(Float64MultiArray(data=VALUES))
+MESSAGE = serialize_message(UInt8MultiArray(data=bytes(range(40))))
+
+
+@given(st.binary(max_size=60), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255)), max_size=6), st.data())
+@examples(50)
+def test_any_bytes_are_refused_or_read(noise, spoils, data):
+    """Any bytes are refused or read, and nothing else is raised."""
+    assert octets(MESSAGE) == bytes(range(40))
+    assert list(doubles(NUMBERS)) == VALUES
+    for message, read in ((MESSAGE, octets), (NUMBERS, doubles)):
+        spoilt = bytearray(message[: data.draw(st.integers(0, len(message)))])
+        for index, value in spoils:
+            if spoilt:
+                spoilt[index % len(spoilt)] = value
+        for each in (noise, bytes(spoilt)):
+            with suppress(ValueError):
+                read(each)

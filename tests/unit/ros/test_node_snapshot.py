@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapPhase, SwapRecord, WithheldCause
+from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapRecord, WithheldCause
 from arpd.model.plan import PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.relay.ends.offers import EndState, ServiceOffer, TopicOffer
@@ -47,7 +47,6 @@ REPLACED = publisher(
     deadlines_missed=4,
     swaps_begun=3,
     swaps_by_result={"ok": 2},
-    swap_seconds_by_phase={phase.value: 12.5 for phase in SwapPhase},
     last_swap=SwapRecord(
         number=2,
         result="ok",

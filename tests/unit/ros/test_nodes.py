@@ -19,8 +19,9 @@ def snapshot(node, *topics, **fields) -> Any:
     )
 
 
-def everybody(_node, _topic):
-    return True
+def shows(is_shown) -> Any:
+    """Return a graph in which a function of node and topic says what is shown."""
+    return SimpleNamespace(shows_writer=is_shown, fields_of=lambda _topic: {})
 
 
 def topics(nodes, now_s):
@@ -32,9 +33,9 @@ def test_a_publisher_counts_once_the_graph_has_shown_it():
     nodes = Nodes()
     nodes.note(b"1", snapshot("/n", "/real", "/invented"), 0.0)
     assert (topics(nodes, 0.1), nodes.pending) == ([], 2)
-    nodes.see(lambda _node, topic: topic == "/real")
+    nodes.see(shows(lambda _node, topic: topic == "/real"))
     assert (topics(nodes, 0.2), nodes.pending) == (["/real"], 1)
-    nodes.see(lambda _node, _topic: False)  # as for some seconds behind a bad link
+    nodes.see(shows(lambda _node, _topic: False))  # as for some seconds behind a bad link
     nodes.note(b"1", snapshot("/n", "/real", "/invented"), 1.0)
     assert topics(nodes, 1.1) == ["/real"]
     assert (topics(nodes, 1.1 + SILENT_S), nodes.pending) == ([], 0)
@@ -45,7 +46,7 @@ def test_a_node_that_returns_counts_from_its_own_numbers():
     nodes = Nodes()
     nodes.note(b"1", snapshot("/n", "/a", "/gone", published=100), 0.0)
     nodes.note(b"2", snapshot("/n", "/a", published=1), 1.0)
-    nodes.see(everybody)
+    nodes.see(shows(lambda _node, _topic: True))
     assert nodes.pending == 0
     assert {state.topic: (state.published, state.announced_at_s) for state in nodes.live(1.1)} == {
         "/a": (1, 1.0),
@@ -62,14 +63,14 @@ def test_entries_are_bounded():
     assert not nodes.note(b"2", snapshot("/m", "/t"), 0.0)
     assert nodes.note(b"1", snapshot("/n", "/t"), 0.0)
     assert sum(nodes.note(f"w{k}".encode(), snapshot(f"/n{k}"), 0.0) for k in range(2 * MOST_NODES)) == MOST_NODES - 1
-    nodes.see(everybody)
+    nodes.see(shows(lambda _node, _topic: True))
     assert topics(nodes, 0.1) == ["/t"]
 
 
 def test_inventions_give_way_to_what_the_graph_shows():
     """When invented publishers fill all entries, a real node replaces them; real ones stay."""
     nodes = Nodes()
-    nodes.see(lambda node, _topic: node == "/honest")
+    nodes.see(shows(lambda node, _topic: node == "/honest"))
     assert nodes.note(b"1", snapshot("/honest", "/first"), 0.0)
     many = [f"/t{number}" for number in range(MOST_PUBLISHERS // 2)]
     assert [nodes.note(writer, snapshot("/invented", *many), 0.1) for writer in (b"2", b"3")] == [True, False]
@@ -94,7 +95,7 @@ def test_nothing_lives_that_was_not_both_shown_and_told(events):
             nodes.note(key[0].encode(), snapshot(*key), now_s)
             told[key[0]] = key[1], now_s
         if is_graph:
-            nodes.see(lambda *known, shown=shown: known in shown)
+            nodes.see(shows(lambda *known, shown=shown: known in shown))
         live = {(state.node, state.topic) for state in nodes.live(now_s)}
         lately = {(name, last) for name, (last, at_s) in told.items() if now_s - at_s <= SILENT_S}
         assert live <= lately

@@ -31,7 +31,7 @@ class World:
         self._peer = Peer(self._publish, reader=self, name="base-3f2a", clock=lambda: self.now_s)
 
     def _publish(self, message):
-        self.reports.append(decode_report(bytes(message.data), received_at_s=self.now_s))
+        self.reports.append(decode_report(bytes(message.data)))
 
     # -- the interface
 

@@ -1,6 +1,7 @@
-"""The plan of all nodes as a message."""
+"""The plan of all nodes as a message, and the bounds of its numbers."""
 
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -8,9 +9,16 @@ from hypothesis import strategies as st
 
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import MOST_GENERATION, TopicPlan
-from arpd.ros.bounds import checked_row
 from arpd.ros.documents import pack, unpack
-from arpd.ros.plan_message import decode_plan, encode_plan
+from arpd.ros.names import INFINITE_NS
+from arpd.ros.plan_message import (
+    LEAST_DEADLINE_NS,
+    MOST_DEPTH,
+    checked_row,
+    decode_plan,
+    encode_plan,
+)
+from arpd.ros.plan_message import ROW as NAMES
 from tests.examples import examples
 
 OWN = WriterQos(depth=10, deadline_ns=0)
@@ -62,3 +70,58 @@ def test_any_bytes_are_a_plan_or_refused(noise, spoils):
         except ValueError:
             continue
         assert all(isinstance(row, TopicPlan) for row in rows)
+
+
+FIELDS = {
+    "depth": 40,
+    "deadline_ns": 10**8,
+    "rate_hz": 50.0,
+    "min_rate_hz": 1.0,
+    "weight": 1.5,
+    "wire_bytes": 900.0,
+    "packets": 1,
+}
+FLOATS, INTEGERS = st.floats(), st.integers(max_value=INFINITE_NS - 1)
+BOUNDS = {
+    "rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
+    "min_rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
+    "weight": (FLOATS, lambda value: value == 0 or 1e-6 <= value <= 1e6),
+    "wire_bytes": (FLOATS, lambda value: value == 0 or 1 <= value <= 1e12),
+    "depth": (INTEGERS, lambda value: 1 <= value <= MOST_DEPTH),
+    "deadline_ns": (INTEGERS, lambda value: value == 0 or value >= LEAST_DEADLINE_NS),
+    "packets": (INTEGERS, lambda value: 0 <= value <= 10**9),
+}
+
+
+def checked(row, own=OWN):
+    return checked_row("/t", [row[name] for name in NAMES], own)
+
+
+@pytest.mark.parametrize("field", BOUNDS)
+@examples(60)
+@given(data=st.data())
+def test_a_number_of_a_row_is_within_bounds_or_refused_by_name(field, data):
+    """Any number, NaN and denormals too, is taken as it is, or the row is refused by topic and field."""
+    numbers, fits = BOUNDS[field]
+    value = data.draw(numbers)
+    row = {**FIELDS, field: value}
+    if fits(value):
+        assert checked(row) == TopicPlan(**row)
+    else:
+        with pytest.raises(ValueError, match=rf"^/t: {field} = '?{re.escape(str(value)[:40])}'? is "):
+            checked(row)
+
+
+def test_the_application_s_own_qos_is_always_allowed():
+    """A plan may return to a depth and a deadline beyond the bounds when the application chose them."""
+    own = WriterQos(depth=MOST_DEPTH + 1, deadline_ns=LEAST_DEADLINE_NS - 1)
+    row = {**FIELDS, "depth": own.depth, "deadline_ns": own.deadline_ns}
+    assert checked(row, own) == TopicPlan(**row)
+    with pytest.raises(ValueError, match=r"^/t: d"):
+        checked(row)
+
+
+def test_what_is_infinite_is_read_as_such():
+    """No rate is an infinite one, and what ROS 2 takes for no deadline becomes 0."""
+    row = checked({**FIELDS, "rate_hz": None, "deadline_ns": INFINITE_NS})
+    assert (row.rate_hz, row.deadline_ns) == (math.inf, 0)

@@ -10,23 +10,23 @@ from arpd.model.errors import RosUnavailableError
 from arpd.relay.ends.link import profile_variables
 from arpd.relay.main import check_middleware
 from arpd.ros.crossing import Crossing, crossing
-from arpd.ros.rmw import current_rmw, rmw_of
+from arpd.ros.rmw import Rmw
 
 MS = 1_000_000
 
 
 @pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
-@pytest.mark.parametrize("security", ["false", "true"])
-def test_fast_dds_is_swapped(name, security):
+@pytest.mark.parametrize("is_secured", [False, True])
+def test_fast_dds_is_swapped(name, is_secured):
     """On Fast DDS swaps are on and hosts are known, but not with security, when GUIDs have the enclave there."""
-    rmw = current_rmw(identifier=lambda: name, environ={"ROS_SECURITY_ENABLE": security})
-    assert (rmw.name, rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (name, True, security == "false", "")
+    rmw = Rmw(name=name, is_secured=is_secured)
+    assert (rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (True, not is_secured, "")
 
 
 @pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
 def test_what_was_not_measured_is_only_paced(name):
     """On any other middleware swaps are refused by name, and its GIDs tell no hosts."""
-    rmw = rmw_of(name)
+    rmw = Rmw(name=name)
     assert not rmw.is_fast_dds
     assert not rmw.tells_hosts
     assert rmw.refusal.startswith(f"{name} is only paced")
@@ -36,7 +36,7 @@ def test_what_was_not_measured_is_only_paced(name):
 def test_two_ends_refuse_a_middleware_that_hears_itself(name, is_able):
     """Two ends start on Fast DDS; on another middleware they name it and end."""
     with nullcontext() if is_able else pytest.raises(RosUnavailableError, match=name):
-        check_middleware(rmw_of(name))
+        check_middleware(Rmw(name=name))
 
 
 @pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])

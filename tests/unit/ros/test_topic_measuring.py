@@ -15,7 +15,7 @@ from arpd.ros.graph import Endpoint
 from arpd.ros.graph_view import ON_EVERY_NODE
 from arpd.ros.link_topics import cannot_tell_hosts
 from arpd.ros.raw_reader import Sample
-from arpd.ros.rmw import rmw_of
+from arpd.ros.rmw import Rmw
 from arpd.ros.topic_measuring import TopicSurvey
 
 OWN, ROBOT, RELAY = (bytes([place, *[1] * 11]) for place in range(3))  # on one host
@@ -66,7 +66,7 @@ class World:
         self.relays: frozenset[bytes] = frozenset()
         for name, fake in {
             "GraphView": SimpleNamespace(of=lambda _node: self),
-            "current_rmw": lambda: rmw_of("rmw_fastrtps_cpp"),
+            "current_rmw": lambda: Rmw(name="rmw_fastrtps_cpp"),
             "RawReader": self.reader,
             "ReadingThread": lambda: SimpleNamespace(stop=lambda: None),
         }.items():
@@ -175,10 +175,10 @@ def test_a_node_that_comes_late_is_measured(world):
 
 def test_without_hosts_nothing_is_measured_and_the_reason_is_told(world, monkeypatch):
     """Where no GUID names its host, any topic may come over the link; the list says what helps."""
-    monkeypatch.setattr(topic_measuring, "current_rmw", lambda: rmw_of("rmw_other"))
+    monkeypatch.setattr(topic_measuring, "current_rmw", lambda: Rmw(name="rmw_other"))
     world.topics = {"/fast": Topic(endpoint("/talker"), rate_hz=50)}
     listed = world.list()
     assert not world.read
     assert [(topic.traffic, topic.unmeasured) for topic in listed.topics] == [(None, "its host is unknown")]
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in listed.cannot_tell_hosts
-    assert not cannot_tell_hosts(rmw_of("rmw_other"), {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    assert not cannot_tell_hosts(Rmw(name="rmw_other"), {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})

@@ -1,9 +1,9 @@
-"""The Fast DDS option by which control traffic does not wait for the link."""
+"""The environment of Fast DDS: control traffic that does not wait for the link, and discovery servers."""
 
 import pytest
 
 from arpd.model.settings import LinkDomain
-from arpd.ros.runtime import _discovery, send_without_waiting
+from arpd.ros.runtime import FASTDDS_PROFILE, _discovery, prepare_environment, send_without_waiting
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,20 @@ def test_the_transports_chosen_stay_and_only_an_option_is_added(before, after):
     """The user's transports stay, and so do the user's options if there are any."""
     send_without_waiting(before)
     assert before == {"FASTDDS_BUILTIN_TRANSPORTS": after}
+
+
+@pytest.mark.parametrize(
+    ("before", "wanted"),
+    [({}, None), ({"ROS_SUPER_CLIENT": "FALSE"}, "FALSE"), ({"ROS_SUPER_CLIENT": ""}, "TRUE")],
+)
+def test_a_discovery_server_tells_arpd_of_every_topic(before, wanted):
+    """A plain client hears only of topics that it uses itself; arpd is a super client unless the user says no."""
+    environment = dict(before)
+    prepare_environment(FASTDDS_PROFILE, environment)
+    assert environment.get("ROS_SUPER_CLIENT") == before.get("ROS_SUPER_CLIENT")
+    environment = {**before, "ROS_DISCOVERY_SERVER": "127.0.0.1:11811"}
+    prepare_environment(FASTDDS_PROFILE, environment)
+    assert environment["ROS_SUPER_CLIENT"] == (wanted or "TRUE")
 
 
 def test_the_link_s_participant_has_no_discovery_server_of_the_robot():
