@@ -17,8 +17,7 @@ from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
 from arpd.govern.progress import Progress, progress
-from arpd.model.allocation import Allocation
-from arpd.model.plan import Decision
+from arpd.model.allocation import Allocation, Decision
 from arpd.model.price import Price
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot

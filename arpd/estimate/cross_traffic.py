@@ -109,8 +109,8 @@ class CrossTraffic:
             self._carried = None
             return
         counted = counters.tx_bytes + counters.rx_bytes
-        if self._carried is None or counted < self._counted_bytes:
-            self._carried = _Curve(now_s)  # a new interface, or a restart: nobody knows what it carried meanwhile
+        if self._carried is None:
+            self._carried = _Curve(now_s)  # a new interface: nobody knows what it carried meanwhile
         else:
             self._carried.grow(now_s, counted - self._counted_bytes)
         self._counted_bytes = counted

@@ -80,9 +80,6 @@ class LocalQueue:
             self._backlog.clear()
             self._sent.clear()
             return
-        if self._sent and counters.tx_bytes < self._sent[-1][1]:
-            self._backlog.clear()  # the interface restarted and counts from zero
-            self._sent.clear()
         left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
         self._sent.append((now_s, counters.tx_bytes))
         while now_s - self._sent[0][0] > _SENT_MEMORY_S:
@@ -105,7 +102,7 @@ class LocalQueue:
             return None
         now_s, sent_bytes, since = observation.now_s, observation.counters.tx_bytes, self._since
         span_s = math.inf if since is None else now_s - since.at_s
-        if span_s < LOCAL_WINDOW_S and since is not None and sent_bytes >= since.sent_bytes:
+        if span_s < LOCAL_WINDOW_S:
             return None
         look = self._since = _Look(
             at_s=now_s,
@@ -118,7 +115,7 @@ class LocalQueue:
             },
         )
         # Longer than two windows ago a peer measured, or the interface was down, so the look does not count.
-        if since is None or sent_bytes < since.sent_bytes or span_s > 2.0 * LOCAL_WINDOW_S:
+        if since is None or span_s > 2.0 * LOCAL_WINDOW_S:
             return None
         sent = sent_bytes - since.sent_bytes
         return sent / span_s if sent > 0 and _waited_s(since, look) > _BLOCKED_SHARE * span_s else None

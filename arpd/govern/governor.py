@@ -14,9 +14,9 @@ from arpd.govern.classes import Move
 from arpd.govern.crowd import Crowd
 from arpd.govern.plan import depths, rows_and_moves, silent_topics, tightest_requests, with_qos_of
 from arpd.govern.swaps import SwapBudget, swap_costs
-from arpd.model.allocation import Binding
+from arpd.model.allocation import Binding, Decision
 from arpd.model.link import LinkState
-from arpd.model.plan import MOST_GENERATION, Decision, QosPlan, TopicPlan, keeps_its_readers
+from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan, keeps_its_readers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -1,11 +1,13 @@
-"""Rows of the program, and its answer."""
+"""Rows of the program, its answer, and what was decided on it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
+
+from arpd.model.plan import QosPlan
 
 if TYPE_CHECKING:
     from arpd.model.price import Price
@@ -140,3 +142,25 @@ class Allocation:
     uniform: Uniform | None = None
     backend: str = "closed_form"
     solve_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Decision:
+    """Decision of one tick.
+
+    Parameters
+    ----------
+    allowed : part of the traffic above the floors that the price allows, 0..1
+    plan : the plan in force after this tick
+    level_changed : True when this tick made a new plan
+    reason : cause of that plan, empty without one
+    price : what every endpoint computes its rate from; None without topics
+    refusals : reasons for which a plan that is due was refused
+    """
+
+    allowed: float = 1.0
+    plan: QosPlan = field(default_factory=QosPlan)
+    level_changed: bool = False
+    reason: str = ""
+    price: Price | None = None
+    refusals: tuple[str, ...] = ()

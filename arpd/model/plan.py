@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.price import Price
-
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
@@ -87,28 +85,6 @@ class PlanAnswer:
 
 
 NO_PLAN = PlanAnswer()
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Decision:
-    """Decision of one tick.
-
-    Parameters
-    ----------
-    allowed : part of the traffic above the floors that the price allows, 0..1
-    plan : the plan in force after this tick
-    level_changed : True when this tick made a new plan
-    reason : cause of that plan, empty without one
-    price : what every endpoint computes its rate from; None without topics
-    refusals : reasons for which a plan that is due was refused
-    """
-
-    allowed: float = 1.0
-    plan: QosPlan = field(default_factory=QosPlan)
-    level_changed: bool = False
-    reason: str = ""
-    price: Price | None = None
-    refusals: tuple[str, ...] = ()
 
 
 # Nodes may tell any generation, but no plan gets one above this: every message and metric can hold it. At this number

@@ -4,26 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from arpd.model.plan import TopicPlan
 
 _SHARE_STEP = 0.02
-
-
-class Terms(Protocol):
-    """What a rate follows from besides the price; `arpd.model.plan.TopicPlan` documents it."""
-
-    @property
-    def rate_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
-    @property
-    def min_rate_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
-    @property
-    def weight(self) -> float: ...  # noqa: D102 - see TopicPlan
-    @property
-    def wire_bytes(self) -> float: ...  # noqa: D102 - see TopicPlan
-    @property
-    def packets(self) -> int: ...  # noqa: D102 - see TopicPlan
-    @property
-    def promised_hz(self) -> float: ...  # noqa: D102 - see TopicPlan
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,7 +53,7 @@ class Price:
         if not (0.0 <= self.yielding_weight < math.inf and 0.0 <= self.kept_minimum <= 1.0):
             raise ValueError(f"weight {self.yielding_weight!r} keeps {self.kept_minimum!r}: not a part of the floors")
 
-    def rate_hz(self, plan: Terms) -> float:
+    def rate_hz(self, plan: TopicPlan) -> float:
         """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
         if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
             return plan.rate_hz
@@ -75,11 +61,11 @@ class Price:
         level_hz = self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf
         return min(plan.rate_hz, max(self.floor_hz(plan), level_hz))
 
-    def cost_s(self, plan: Terms) -> float:
+    def cost_s(self, plan: TopicPlan) -> float:
         """Return a, the link time of one sample (s)."""
         return plan.packets * self.packet_overhead_s + plan.wire_bytes / self.capacity_bytes_per_second
 
-    def floor_hz(self, plan: Terms) -> float:
+    def floor_hz(self, plan: TopicPlan) -> float:
         """Return the floor that the link leaves one publisher (Hz)."""
         if self.is_stale:
             return max(plan.min_rate_hz, plan.promised_hz)

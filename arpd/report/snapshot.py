@@ -12,10 +12,9 @@ from arpd.report.durations import Durations
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.allocation import Allocation
+    from arpd.model.allocation import Allocation, Decision
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
-    from arpd.model.plan import Decision
     from arpd.report.conditions import Finding
     from arpd.report.events import Event
 

@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from arpd.sim.link import Loopback, SimulatedLink
     from arpd.sim.timeline import Timeline
+
+    Carrier = SimulatedLink | Loopback  # one direction of a link, or the way within a host
 
 #: Most that one socket has in the interface's queue: Linux counts 2.3 kB for a packet of 1.4 (net.core.wmem_default).
 SOCKET_BYTES = 130_000
 # Packets that are lost or arrive together: fewer would only make more events.
 _AT_ONCE, _MOST_AT_ONCE = 16, 64
-
-
-class Carrier(Protocol):
-    """One direction of a link, or the way within a host."""
-
-    def send(self, wire_bytes: float, packets: int, deliver: Callable[[], object]) -> float:
-        """Put one datagram on the way; see `arpd.sim.link.SimulatedLink.send`."""
 
 
 @dataclass(slots=True)

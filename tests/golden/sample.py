@@ -7,12 +7,12 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
+from arpd.model.allocation import Allocation, AllocationStatus, Binding, Decision, TopicAllocation
 from arpd.model.endpoints import Direction, RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
-from arpd.model.plan import Decision, QosPlan, TopicPlan
+from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from arpd.daemon.scenario import ScenarioResult
+    from arpd.model.allocation import Decision
     from arpd.model.endpoints import PublisherState
     from arpd.model.observation import Observation
-    from arpd.model.plan import Decision
     from arpd.model.settings import Settings
     from arpd.report.snapshot import Snapshot
     from arpd.sim.schedule import RateSchedule

@@ -137,7 +137,7 @@ EVENTS = st.lists(
             "cross_traffic": st.floats(0.0, 1e7),
             "carried": st.none() | st.floats(0.0, 1e7),
             "after_s": st.sampled_from([0.02, 0.1, 0.1, 0.1, 1.5]),
-            "what": st.sampled_from(["nothing"] * 20 + ["restart", "new interface", "no interface", "come", "go"]),
+            "what": st.sampled_from(["nothing"] * 20 + ["restart", "no interface", "come", "go"]),
         }
     ),
     max_size=120,
@@ -147,7 +147,7 @@ EVENTS = st.lists(
 @examples(100)
 @given(SOURCES, EVENTS)
 def test_it_is_between_nothing_and_what_was_carried(sources, events):
-    """Restarts, a new interface, publishers that come and go, late ticks: never negative, never more than carried."""
+    """Restarts, no interface, publishers that come and go, late ticks: never negative, never more than carried."""
     robot = Robot(*sources)
     carried = []
     for number, event in enumerate(events):
@@ -155,8 +155,6 @@ def test_it_is_between_nothing_and_what_was_carried(sources, events):
         if event["what"] == "restart" and robot.sources:
             source = robot.sources[0]
             source.before += max(0, source.sent(robot.now_s))
-        elif event["what"] == "new interface":
-            robot.carried = 0.0
         elif event["what"] == "come":
             robot.sources.append(Source(topic=f"/new{number}", since_s=robot.now_s))
         elif event["what"] == "go" and robot.sources:

@@ -22,7 +22,7 @@ from tests.examples import examples
 from tests.sample_publishers import publisher
 
 if TYPE_CHECKING:
-    from arpd.model.plan import Decision
+    from arpd.model.allocation import Decision
 
 MEMORY = 64 * 2.0**20
 GOVERNOR = GovernorSettings()
