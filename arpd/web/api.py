@@ -298,7 +298,7 @@ def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf
         config_path=snapshot.config_path,
         config_error=snapshot.config_error,
     )
-    return head_and_rows(head, (plain(_topic(row)) for row in rows))
+    yield from head_and_rows(head, (plain(_topic(row)) for row in rows))
 
 
 def _finding(found: conditions.Finding) -> Finding:
@@ -338,7 +338,7 @@ def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> Iterator
         topics_omitted=newest.omitted if newest else 0,
         events=tuple(logged),
     )
-    return head_and_rows(head, _histories(samples))
+    yield from head_and_rows(head, _histories(samples))
 
 
 def _histories(samples: Sequence[Sample]) -> Iterator[dict[str, Any]]:

@@ -82,7 +82,7 @@ class Site(Application):
         self.host = host
         # One more than may wait for bcrypt, so that the next is refused at once.
         self.threads = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-password")
-        health = {"snapshot": snapshot, "clock": clock, "started_at_s": clock()}
+        self.snapshot, self.clock, self.started_at_s = snapshot, clock, clock()
         super().__init__(
             [
                 (r"/()", _Asset, {"path": ASSETS, "default_filename": "page.html"}),
@@ -90,7 +90,7 @@ class Site(Application):
                 (r"/(metrics)", _Document),
                 (r"/api/v1/(status|history)", _Document),
                 (r"/api/v1/schema/(status|history)-v1\.json", _Schema),
-                (r"/-/(healthy|ready)", _Health, health),
+                (r"/-/(healthy|ready)", _Health),
             ],
             default_handler_class=_Nothing,
             compress_response=True,
@@ -186,26 +186,17 @@ class _Schema(_Guarded):
 
 
 class _Health(_Guarded):
-    def initialize(
-        self, *, snapshot: Callable[[], Snapshot | None], clock: Callable[[], float], started_at_s: float
-    ) -> None:
-        self._snapshot = snapshot()
-        # Before the first tick the start counts, so that a slow start is no hang.
-        self._since_s = clock() - (started_at_s if self._snapshot is None else self._snapshot.finished_at_s)
-
     def get(self, what: str) -> None:
-        wrong = self._not_healthy() if what == "healthy" else self._not_ready()
+        snapshot, wrong = self.site.snapshot(), ""
+        # Before the first tick the start counts, so that a slow start is no hang.
+        since_s = self.site.clock() - (snapshot.finished_at_s if snapshot else self.site.started_at_s)
+        if what == "ready" and snapshot is None:
+            wrong = "not ready: no tick has finished yet"
+        elif what == "healthy" and since_s >= HEALTHY_S:
+            last = "the last tick finished" if snapshot else "no tick has finished since the start"
+            wrong = f"unhealthy: {last} {since_s:.1f} s ago; the limit is {HEALTHY_S:.0f} s"
         if wrong:
             self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
         self.write(f"{wrong or what}\n")
 
     head = get
-
-    def _not_healthy(self) -> str:
-        if self._since_s < HEALTHY_S:
-            return ""
-        what = "the last tick finished" if self._snapshot else "no tick has finished since the start"
-        return f"unhealthy: {what} {self._since_s:.1f} s ago; the limit is {HEALTHY_S:.0f} s"
-
-    def _not_ready(self) -> str:
-        return "" if self._snapshot else "not ready: no tick has finished yet"

@@ -207,7 +207,7 @@ def test_a_hundred_topics_stay_readable(daemon, browser):
         seen.await_live()
         eventually("all are there", lambda: len(seen.texts("#topics tbody th")) == 100)
         assert seen.texts("#topics tbody th")[2].startswith("/t2 ")
-        seen.page.locator("th[data-sort=source_rate_hz] button").click()
+        seen.page.locator("th[data-sort='confirmed.source_rate_hz'] button").click()
         assert seen.texts("#topics tbody th")[0].startswith("/t99 ")
         seen.page.locator("#find").fill("n3 t9")
         assert [text.split()[0] for text in seen.texts("#topics tbody th")] == ["/t94"]

@@ -13,6 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.model.settings import HttpSettings
+from arpd.report.situation import judge
 from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
 from arpd.web.server import HttpServer
@@ -169,13 +170,19 @@ def test_a_hung_tick_is_unhealthy(world, daemon, has_snapshot):
     assert "10 s" in answer.text
 
 
-def test_who_asks_at_the_same_time_shares_one_document(sample_snapshot):
+def test_who_asks_at_the_same_time_shares_one_document(sample_snapshot, monkeypatch):
     """Twelve requests that wait for a tick are answered by one document, and no piece of it is made in the tick."""
-    asked, resting = [], threading.Event()
+    asked, judged, resting = [], [], threading.Event()
 
     def snapshot():
         asked.append(resting.is_set())
         return sample_snapshot
+
+    def judge_between_ticks(*arguments, **options):
+        judged.append(resting.is_set())
+        return judge(*arguments, **options)
+
+    monkeypatch.setattr("arpd.web.api.judge", judge_between_ticks)
 
     with running(snapshot=snapshot, resting=resting) as world:
         answers = []
@@ -189,6 +196,7 @@ def test_who_asks_at_the_same_time_shares_one_document(sample_snapshot):
         assert len(answers) == 12
         assert len(set(answers)) < 12
         assert len(asked) < 12
+        assert all(judged)
 
 
 def test_a_tick_that_hangs_does_not_keep_the_metrics_back(sample_snapshot):
