@@ -38,12 +38,6 @@ def connect(ros, thread, eventually):
             reader.destroy()
 
 
-def test_a_thread_without_samples_finishes_rounds(thread, eventually):
-    """A thread that has nothing to take finishes a round every second."""
-    begun_s = thread.finished_s
-    eventually("the thread finishes a round", lambda: thread.finished_s > begun_s)
-
-
 def test_the_watchdogs_time_runs_for_one_sample_alone(connect, thread, eventually):
     """A sample whose function blocks finishes no round; each one after it does, although more of them wait."""
     begun, gates = [], [threading.Event() for _ in range(3)]
@@ -148,13 +142,3 @@ def test_a_flood_of_one_topic_delays_no_other(gate, connect, eventually):
     gate.opened.set()
     eventually("all arrive", lambda: len(order) == 501)
     assert [b"calm" in sample.data for sample in order].index(True) <= 64
-
-
-def test_a_sample_has_the_times_when_it_left_and_arrived(connect, eventually):
-    """Both are of this computer's clock."""
-    taken = []
-    _, publisher = connect(taken.append)
-    begun_ns = time.time_ns()
-    publisher.publish(String(data="short"))
-    (sample,) = eventually("it arrives", lambda: taken)
-    assert begun_ns <= sample.sent_ns <= sample.received_ns <= time.time_ns()

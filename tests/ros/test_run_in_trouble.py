@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -39,22 +38,6 @@ def alone(tmp_path, monkeypatch):
     for process in started:
         process.kill()
         process.wait()
-
-
-def handles_stop(process):
-    """Return whether the process has a handler for SIGTERM (proc(5))."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    caught = next(int(line.split()[1], 16) for line in status.splitlines() if line.startswith("SigCgt"))
-    return bool(caught & 1 << (signal.SIGTERM - 1))
-
-
-def test_a_stop_before_ros_is_up_is_clean(alone, eventually):
-    """While the daemon imports ROS it has nothing to restore, and exits 0 at once."""
-    process, log = alone(0)
-    eventually("it handles signals", lambda: handles_stop(process))
-    process.terminate()
-    assert process.wait(timeout=PATIENCE_S) == 0
-    assert "Traceback" not in log()
 
 
 def test_without_a_port_and_an_interface_it_runs_and_stops_cleanly(alone, eventually):

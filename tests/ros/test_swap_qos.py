@@ -160,14 +160,6 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     assert publisher.state().deadlines_missed > counted
 
 
-def test_deadlines_are_counted_without_anybody_listening(ros, eventually):
-    """Missed deadlines count without an event callback too."""
-    profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
-    publisher = make(ros.node("talker"), profile)
-    publisher.publish(String(data="0"))
-    eventually("three deadlines are missed", lambda: publisher.state().deadlines_missed >= 3)
-
-
 def test_a_latched_topic_swaps_when_the_application_says_so(ros, eventually):
     """With swap_transient_local a late reader receives the old writer's history from the new one, and no more."""
     publisher = make(ros.node("talker"), LATCHED, swap_transient_local=True)

@@ -234,6 +234,7 @@ def test_a_pinned_capacity_costs_no_probe_and_is_obeyed():
     """The plan is made for the pinned capacity, even if the link carries more."""
     result = play("0:20mbit", 8.0, link=LinkSettings(capacity_bytes_per_second=4 * MBIT))
     assert result.moments[-1].level_bytes_per_second == pytest.approx(0.85 * 4 * MBIT, rel=0.05)
+    assert result.moments[-1].probe_bytes == 0
 
 
 def test_nothing_is_created_or_forgotten():

@@ -1,6 +1,6 @@
 """The processes of a chaos test: arpd as it is, but a swap can be stopped in any state, so that a kill meets it there.
 
-Usage: nodes.py talker NAME TOPIC… | nodes.py listener NAME TOPIC… | nodes.py relay CONFIG | nodes.py daemon CONFIG
+Usage: nodes.py talker NAME TOPIC… | nodes.py listener NAME TOPIC… | nodes.py daemon CONFIG
 
 Each takes commands on stdin and answers on stdout, in lines of JSON (`scripts.bench.child`).
 """
@@ -97,10 +97,6 @@ def obey(roles):
         answer(answer=roles[order.pop("do")](**order))
 
 
-def obey_aside(stops):
-    threading.Thread(target=obey, args=({"stop": stops.stop, "release": stops.release},), daemon=True).start()
-
-
 @contextmanager
 def spun(name):
     from rclpy.executors import SingleThreadedExecutor
@@ -185,15 +181,6 @@ def listen(name, *topics):
         obey({"received": lambda: received})
 
 
-def relay(config):
-    from arpd.cli.main import main
-
-    stops = Stops()
-    stops.install()
-    obey_aside(stops)
-    main(["relay", "--config", config, "--node-name", "relay"])
-
-
 def daemon(config):
     """Run the daemon; on this one host a node in another process counts as across the link."""
     from arpd.cli.main import main
@@ -203,4 +190,4 @@ def daemon(config):
 
 
 if __name__ == "__main__":
-    {"talker": talk, "listener": listen, "relay": relay, "daemon": daemon}[sys.argv[1]](*sys.argv[2:])
+    {"talker": talk, "listener": listen, "daemon": daemon}[sys.argv[1]](*sys.argv[2:])

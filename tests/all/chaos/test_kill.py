@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
-from tests.all.chaos.world import Log, Source, ended, is_gapless, settle
+from tests.all.chaos.world import Log, ended, is_gapless, settle
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
@@ -13,7 +13,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 DEADLINE_NS = 800_000_000
 OTHER_DEPTH = 250
 AGAIN = 100_000  # first number of a node's second life
-LINK = {where: f"/link{topic}" for where, topic in TOPICS.items()}
 BASELINE = (BASELINE_DEPTH, 0)
 ASKED = (DEPTH, DEADLINE_NS)
 every_state = pytest.mark.parametrize("where", WHERE)
@@ -96,58 +95,6 @@ def test_a_node_started_again_begins_with_its_own_qos_and_gets_the_plan_back(pla
     assert_planned(outcome.now[topic])
     assert outcome.received[topic][len(received) :] == list(range(AGAIN, outcome.end))
     assert outcome.now[topic].last.published == outcome.end - AGAIN
-
-
-def kill_relay(world):
-    """Kill the relay during the swap to a daemon's first plan, and start it again; its source goes on."""
-    far, near = Log(world, "far", LINK.values()), Log(world, "near")
-    source = Source(world, "source", TOPICS.values())
-    world.daemon()
-    eventually("the near reader matches", lambda: source.is_heard(1))
-    source.is_publishing = True
-    config = world.relay_config()
-    relay = world.start("relay", config, has_short_lease=True)
-    relay.stop(LINK)
-    eventually("every swap is stopped", lambda: relay.stopped == set(LINK.values()))
-    paused = source.pause()
-    eventually("all that flows has left", lambda: all(world.rests(topic) for topic in LINK.values()))
-    before = world.picture()
-    relay.kill()
-    source.is_publishing = True
-    world.start("relay", config)
-    eventually("the plan is in force", lambda: world.has_settled(LINK.values(), depth=DEPTH, swaps=1))
-    sent = source.pause()
-    eventually(
-        "both readers have the last sample",
-        lambda: all(numbers[-1] == sent - 1 for log in (far, near) for numbers in log.numbers.values()),
-    )
-    eventually("the relay has sent all", lambda: all(world.rests(topic) for topic in LINK.values()))
-    return SimpleNamespace(
-        before=before, now=world.picture(), far=far.numbers, near=near.numbers, paused=paused, sent=sent
-    )
-
-
-@every_state
-def test_a_killed_relay_takes_only_what_it_held_with_it(played, where):
-    """Samples arrive once and in order from the first on, only those announced as queued are lost, others lose none."""
-    topic, outcome = LINK[where], played(kill_relay)
-    last = outcome.before[topic].last
-    received = [number for number in outcome.far[topic] if number < outcome.paused]
-    assert received == list(range(received[0], outcome.paused - last.queued))
-    assert last.offered == last.published + last.queued
-    assert last.published >= len(received), "the far reader may match after the relay has begun"
-    assert outcome.near[TOPICS[where]] == list(range(outcome.sent)), "a reader of the source itself"
-
-
-@every_state
-def test_a_relay_started_again_carries_on(played, where):
-    """The restarted relay swaps to the daemon's plan, and carries every sample from its first one on."""
-    topic, outcome = LINK[where], played(kill_relay)
-    now = outcome.now[topic]
-    assert_planned(now)
-    received = [number for number in outcome.far[topic] if number >= outcome.paused]
-    assert received == list(range(received[0], outcome.sent))
-    assert now.last.offered == now.last.published >= len(received)
 
 
 def kill_daemon(world):

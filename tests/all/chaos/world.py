@@ -27,8 +27,8 @@ from std_msgs.msg import String
 from arpd.model.plan import PlanAnswer, TopicPlan
 from arpd.ros.graph import deadline_ns_of
 from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment
-from scripts.bench.child import number_of, sample_of, spinning
-from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, PAYLOAD_BYTES, RATE_HZ, TOPICS
+from scripts.bench.child import number_of, spinning
+from tests.all.chaos.nodes import DEPTH, TOPICS
 from tests.ros.announced import Announced
 from tests.ros.plans import Plans
 from tests.waiting import PATIENCE_S, eventually
@@ -187,13 +187,6 @@ class World:
         daemon.url = f"http://127.0.0.1:{config['http']['port']}"
         return daemon
 
-    def relay_config(self):
-        """Write the configuration of a relay that carries all topics; return its path."""
-        path = self._workdir / "relay.yaml"
-        topics = [{"name": topic, "overflow": "queue", "depth": BASELINE_DEPTH} for topic in TOPICS.values()]
-        path.write_text(json.dumps({"relay": {"topics": topics}}))
-        return path
-
     # -- the view and the actions of any process
 
     def announced(self, topic):
@@ -256,34 +249,6 @@ class Log:
             node.create_subscription(
                 String, topic, lambda s, n=numbers: n.append(number_of(s)), QoSProfile(depth=5000), raw=True
             )
-
-
-class Source:
-    """A node without arpd that publishes the same numbers on every topic."""
-
-    def __init__(self, world, name, topics):
-        node = world.node(name)
-        self._publishers = [node.create_publisher(String, topic, 200) for topic in topics]
-        self.sent = 0
-        self.is_publishing = False
-        self._lock = threading.Lock()
-        node.create_timer(1 / RATE_HZ, self._publish)
-
-    def _publish(self):
-        with self._lock:
-            if self.is_publishing:
-                for publisher in self._publishers:
-                    publisher.publish(sample_of(self.sent, PAYLOAD_BYTES))
-                self.sent += 1
-
-    def pause(self):
-        """Stop publishing; return the number of samples so far."""
-        with self._lock:
-            self.is_publishing = False
-            return self.sent
-
-    def is_heard(self, readers):
-        return all(publisher.get_subscription_count() >= readers for publisher in self._publishers)
 
 
 def settle(world, talker, *logs, first=0):

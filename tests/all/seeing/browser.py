@@ -74,16 +74,6 @@ class Visit:
         """Return the text of every visible element, with its white space joined."""
         return [" ".join(text.split()) for text in self.page.locator(selector).all_inner_texts()]
 
-    def last_status(self) -> dict[str, Any]:
-        """Cut the page off, and return its last status document, which it goes on showing."""
-        answers: list[Any] = []
-        self.page.on("response", lambda answer: answer.url.endswith("/api/v1/status") and answers.append(answer.json()))
-        with self.page.expect_response("**/api/v1/status"):
-            self.page.reload()
-        self.page.context.set_offline(True)
-        eventually("the page misses its daemon", lambda: self.says("document.body.dataset.freshness === 'lost'"))
-        return answers[-1]
-
     def drawn(self, selector: str) -> int:
         """Return the number of painted pixels of a canvas."""
         return self.page.evaluate(_DRAWN, selector)

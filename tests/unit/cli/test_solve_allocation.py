@@ -69,25 +69,6 @@ def measured(topic="/scan", **fields):
     return {"topic": topic, "confirmed": publisher}
 
 
-def test_json_is_in_base_units(allocation, config):
-    """Every key names its unit; the DEADLINE is the one that a publisher offers, slack included."""
-    document, topics = allocation("--config", config(), "--capacity", "2mbit")
-    assert document["capacity_bytes_per_second"] == 2 * MBIT
-    assert document["level_bytes_per_second"] == pytest.approx(0.85 * 2 * MBIT)
-    assert (document["status"], document["binding"], document["backend"]) == ("optimal", "link", "closed_form")
-    assert document["share"] == pytest.approx(0.85)
-    assert (document["memory_budget_bytes"], document["left_out"]) == (64 * 2**20, [])
-    assert list(topics) == ["/camera", "/cmd_vel", "/scan"]
-    command = topics["/cmd_vel"]
-    assert (command["rate_hz"], command["deadline_ns"], command["depth"]) == (20.0, 93_750_000, 16)
-    assert command["share"] == pytest.approx(20.0 * command["wire_bytes"] / (2 * MBIT))
-    assert (command["rate_binding"], command["depth_binding"]) == ("desired_rate", "latency_budget")
-    assert topics["/camera"]["desired_rate_hz"] == 15.0
-    _, topics = allocation("--config", config(), "--capacity", "0bit")
-    assert topics["/cmd_vel"]["rate_hz"] == 0.0
-    assert topics["/cmd_vel"]["deadline_ns"] is None
-
-
 def test_several_capacities_are_a_list_or_columns(solve, config):
     """Each capacity has an allocation in JSON, and a column of rates in the table."""
     code, out, _ = solve("--config", config(), "--capacity", "0.5mbit,2mbit,54mbit", "--json")
@@ -159,24 +140,6 @@ def test_a_file_that_is_no_status_exits_1_with_its_place(solve, config, tmp_path
     assert (code, out) == (1, "")
     assert err.startswith(f"arpd: {path}: {wrong}")
     assert err.strip().isprintable()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "option"),
-    [
-        ("", "--rmax"),
-        ("--rmax 100 --config x", "--rmax"),
-        ("--capacity 5mbit", "--config"),
-        ("--config x", "--capacity"),
-        ("--config x --capacity 5", "--capacity"),
-    ],
-)
-def test_what_does_not_fit_together_exits_2_and_names_the_option(solve, arguments, option):
-    """The command line is checked before any file is read."""
-    code, out, err = solve(*arguments.split())
-    assert (code, out) == (2, "")
-    assert err.count("\n") == 1
-    assert option in err
 
 
 @pytest.mark.parametrize("command", [("solve", "--capacity", "5mbit", "--config"), ("check",)])

@@ -94,23 +94,6 @@ def name(number):
     return number.to_bytes(4, "big")
 
 
-@pytest.mark.parametrize("overflow", Overflow)
-@pytest.mark.parametrize("depth", [1, 2, 10])
-def test_an_unpaced_swap_loses_nothing_however_small_the_depth(overflow, depth):
-    """When the old writer is never acknowledged, all held samples leave, in order."""
-    world = World(depth=depth, overflow=overflow)
-    for number in range(2000):
-        if number == 50:
-            world.retune(depth=depth + 1)
-        world.publish(name(number))
-        world.writers[-1].acknowledges = len(world.writers) > 1
-        world.wait(STEP_S)
-    assert len(world.writers) == 2
-    assert world.flow.qos.depth == depth + 1
-    assert world.log == [name(number) for number in range(2000)]
-    assert world.flow.state().withheld == 0
-
-
 def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
     """Held samples leave without a burst, and newer ones queue behind them."""
     world = World()

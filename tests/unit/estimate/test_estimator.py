@@ -14,7 +14,6 @@ from arpd.model.interface import InterfaceState
 from arpd.model.link import CapacityKind, EstimatorEvent, LinkState
 from arpd.model.probing import PeerReport, Train
 from arpd.model.settings import LinkSettings
-from arpd.model.wire import probe_wire_bytes
 from tests.examples import examples
 from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
@@ -103,17 +102,6 @@ class Link:
 # -- before a peer has measured
 
 
-def test_before_evidence_the_configured_capacity_counts():
-    """The first estimate is the configured capacity, also after a reload, and says so."""
-    link = Link()
-    assert link.tick().capacity_bytes_per_second == FIRST
-    link.estimator.reconfigure(LinkSettings(initial_capacity_bytes_per_second=1e5))
-    estimate = link.tick()
-    assert (estimate.capacity_bytes_per_second, estimate.kind) == (1e5, CapacityKind.CONFIGURED)
-    assert estimate.evidence == "no evidence yet"
-    assert not link.estimator.has_evidence
-
-
 @pytest.mark.parametrize("capacity", [0.01 * FIRST, FIRST, 20 * FIRST])
 def test_three_trains_are_the_first_evidence(capacity):
     """Three trains replace the configured capacity, upwards or downwards."""
@@ -147,6 +135,7 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert estimate.state is LinkState.DRAINING
     assert estimate.queue_delay_s == pytest.approx(0.28, abs=0.1)
     assert estimate.standing_delay_s > 0.1
+    assert estimate.events_by_kind["down"] >= 1
 
 
 def test_bytes_that_wait_here_are_a_queue_before_a_ping_shows_it():
@@ -235,16 +224,6 @@ def test_a_large_message_may_stand_as_long_as_the_capacity_in_force_takes(how):
     assert estimate.queue_allowance_s > 0.2
 
 
-def test_a_pinned_capacity_is_believed_and_nothing_is_probed():
-    """Neither trains nor a radio change a pinned capacity; it is certain, does not age, and no probe is sent."""
-    link = Link(capacity_bytes_per_second=3e6)
-    for estimate in (link.ticks(20, trains=[1e6]), link.ticks(5, silent=True, radio=RADIO)):
-        assert (estimate.capacity_bytes_per_second, estimate.kind) == (3e6, CapacityKind.CONFIGURED)
-        assert estimate.age_s == 0.0
-    assert link.estimator.has_evidence
-    assert not link.probes
-
-
 def test_a_queue_that_nobody_measures_now_is_forgotten():
     """When the peer leaves or the capacity is pinned, the last length of the queue must not hold the budget."""
     left, pinned = Link().measured(), Link().measured()
@@ -255,16 +234,6 @@ def test_a_queue_that_nobody_measures_now_is_forgotten():
     assert estimate.state is not LinkState.OUTAGE
     pinned.estimator.reconfigure(LinkSettings(capacity_bytes_per_second=1e6))
     assert pinned.tick(silent=True).queue_delay_s == 0.0
-
-
-def test_its_own_probes_are_no_cross_traffic():
-    """The many large trains of the first seconds count as our own."""
-    link = Link()
-    for _ in range(60):
-        sent = sum(probe.packets * probe_wire_bytes(probe.packet_bytes) for _, probe in link.probes)
-        estimate = link.tick(counters=replace(INTERFACE, tx_bytes=sent), peers=1)
-        assert estimate.cross_traffic_bytes_per_second == 0.0
-    assert sent > 6 * 40_000
 
 
 # -- whether pings and looks meet a queue
@@ -400,25 +369,6 @@ def test_a_link_in_use_is_steady_and_an_idle_one_app_limited(part, state):
         link.ticks(4, rate=part * FIRST)
         estimate = link.tick(rate=part * FIRST, trains=[FIRST])
     assert estimate.state is state
-
-
-def test_every_change_is_counted_by_its_kind():
-    """First trains, a fall, a rise, an outage and its end count, in estimates that never change afterwards."""
-    link = Link()
-    before = link.tick()
-    link.measured()
-    first = link.tick()
-    assert first.events_by_kind["first"] == 1
-    fallen = link.ticks(10, **FALLEN)
-    assert fallen.events_by_kind["down"] >= 1
-    risen = link.ticks(5, trains=[FIRST])
-    assert risen.events_by_kind["up"] >= 1
-    assert link.ticks(12, silent=True).events_by_kind["outage"] == 1
-    resumed = link.ticks(5)
-    assert (resumed.events_by_kind["outage"], resumed.events_by_kind["resume"]) == (1, 1)
-    assert set(resumed.events_by_kind) <= {*map(str, EstimatorEvent)}
-    assert dict(before.events_by_kind) == {}
-    assert "outage" not in first.events_by_kind
 
 
 def test_loss_and_way_back_are_unknown_without_reports():

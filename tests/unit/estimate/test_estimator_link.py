@@ -160,16 +160,6 @@ TROUBLE = {LinkState.OUTAGE, LinkState.DRAINING}
 # -- links that rest
 
 
-@pytest.mark.parametrize("mbit", [2, 20])
-def test_a_link_rests_while_only_probes_cross_it(mbit):
-    """Trains and pings do not keep a link from resting, and a load of a tenth ends the rest at once."""
-    run = Run(steps((0, mbit)), samples=((40, 60, mbit / 10),))
-    run.until(60)
-    rests = [estimate.is_resting for estimate in run.estimates(15, 40)]
-    assert sum(rests) > MOSTLY * len(rests)
-    assert not any(estimate.is_resting for estimate in run.estimates(42, 60))
-
-
 # -- capacities that change
 
 
@@ -267,14 +257,3 @@ def test_rmax_is_right_for_small_and_for_large_messages(mbit, overhead_s):
         true_s = packets * overhead_s + size / (mbit * MBIT)
         seen_s = packets * estimate.packet_overhead_s + size / estimate.capacity_bytes_per_second
         assert seen_s == pytest.approx(true_s, rel=0.2)
-
-
-@pytest.mark.parametrize("mbit", [5, 50])
-def test_a_minute_of_measuring_costs_one_per_cent(mbit):
-    """After the first trains, probes and reports together take one per cent of the link."""
-    run = Run(steps((0, mbit)))
-    run.until(15.0)
-    (world,) = run.worlds
-    before = world.probes_sent()[1] + world.report_bytes
-    run.until(75.0)
-    assert world.probes_sent()[1] + world.report_bytes - before <= 0.01 * mbit * MBIT * 60.0

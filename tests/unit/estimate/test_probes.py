@@ -110,28 +110,6 @@ def test_a_better_link_is_found_within_a_second_where_more_is_asked_of_it(mbit):
     assert max(after - before for before, after in pairwise(times)) <= probes.SHORT_S + 0.5
 
 
-@pytest.mark.parametrize("mbit", [0.2, 1.0, 20.0, 200.0])
-def test_the_first_trains_do_not_wait_for_savings(mbit):
-    """Before any measurement three trains of at least a few packets leave within a second."""
-    sent = trains(Probing(mbit * MBIT, is_measured=False).run(1.0))
-    assert len(sent) >= 3
-    assert min(request.packets for request in sent) >= probes.TRAIN_LEAST_PACKETS
-
-
-def test_urgent_trains_spend_what_calm_ones_saved():
-    """After some calm, a doubt causes several trains within a few seconds, and a surprise one at once."""
-    calm = Probing().known()
-    calm.run(30.0)
-    before = len(trains(calm.run(3.0)))
-    assert len(trains(calm.run(3.0, is_urgent=True))) >= before + 3
-    surprised = Probing().known()
-    surprised.run(30.0)
-    last_s = max(at_s for at_s, request in surprised.sent if request.packets > 1)
-    surprised.run(3.0)
-    surprised.run(0.2, surprise_bytes_per_second=1.5e6)
-    assert len([at_s for at_s, request in surprised.sent if request.packets > 1 and at_s > last_s + 3.0]) >= 1
-
-
 @pytest.mark.parametrize("mbit", [0.2, 0.8, 3.0])
 @pytest.mark.parametrize("copies", [1, 4])
 def test_even_the_slowest_link_is_looked_at_now_and_then(mbit, copies):
@@ -140,10 +118,3 @@ def test_even_the_slowest_link_is_looked_at_now_and_then(mbit, copies):
     times = [at_s for at_s, request in sent if request.packets > 1]
     assert len(times) >= 60.0 // probes.TRAIN_MOST_S
     assert max(after - before for before, after in pairwise(times)) <= probes.TRAIN_MOST_S + 0.5
-
-
-def test_a_link_that_nobody_uses_is_probed_rarely():
-    """While next to nothing crosses, a measured link costs a small part of its usual probes, but is still looked at."""
-    busy, idle = Probing().known(), Probing().known()
-    assert 0 < cost(idle.run(300.0, is_resting=True)) < 0.15 * cost(busy.run(300.0))
-    assert trains(idle.sent)

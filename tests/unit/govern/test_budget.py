@@ -42,12 +42,6 @@ def course(budget, *spans):
     return budget
 
 
-def test_without_a_queue_it_is_the_headroom_of_what_is_available():
-    """Cross traffic and the headroom are taken off the capacity."""
-    assert allowed() == pytest.approx(0.8 * C)
-    assert allowed(cross_traffic_bytes_per_second=0.25 * C) == pytest.approx(0.6 * C)
-
-
 @given(LINKS)
 def test_it_is_never_above_the_headroom(link):
     """At any estimate the budget is between nothing and the headroom of what is available."""
@@ -82,11 +76,6 @@ def test_a_queue_that_one_message_explains_costs_nothing():
     """The largest message of the robot may stand before the link for a moment."""
     assert allowed(queue_delay_s=0.4, queue_allowance_s=0.4) == pytest.approx(0.8 * C)
     assert allowed(queue_delay_s=0.4, queue_allowance_s=0.1) < 0.8 * C
-
-
-def test_in_an_outage_there_is_none():
-    """A link that carries nothing has no budget, at any capacity that it had."""
-    assert allowed(state=LinkState.OUTAGE) == 0.0
 
 
 # -- lasting

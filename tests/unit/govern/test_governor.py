@@ -6,8 +6,6 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from arpd.govern.governor import Governor
 from arpd.govern.swaps import swap_costs
@@ -18,7 +16,6 @@ from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Backend, GovernorSettings, Settings
 from arpd.model.wire import swap_bytes
 from arpd.solve.program import Program
-from tests.examples import examples
 from tests.sample_publishers import publisher
 
 if TYPE_CHECKING:
@@ -106,16 +103,6 @@ def qos(plan):
 
 
 # -- rates
-
-
-def test_admitted_runs_from_the_floors_to_everything():
-    """The part admitted is 0 where only floors go out, 1 where nobody is slowed, and rises with the budget."""
-    run = Run().planned()
-    admitted = [run.tick(capacity, lasting=1e6).allowed for capacity in (0.0, 6e3, 3e5, 1e6, 2e6, 1e7)]
-    assert admitted == sorted(admitted)
-    assert admitted[:2] == [0.0, 0.0]
-    assert 0.0 < admitted[2] < admitted[3] < 1.0
-    assert admitted[-1] == 1.0
 
 
 # -- plans for topics
@@ -225,15 +212,6 @@ def test_a_first_plan_does_not_wait_for_a_graph_that_never_rests():
 # -- plans for the link
 
 RISE_S = 3 * GOVERNOR.dwell_s
-
-
-@examples(30)
-@given(st.lists(st.floats(0.93, 1.07), min_size=5, max_size=60))
-def test_small_changes_cost_one_plan_at_most(factors):
-    """A lasting budget that moves by 7 % may cross one border of a class, and does not come back."""
-    run = Run().planned()
-    decisions = [decision for factor in factors for decision in run.ticks(5.0, 1e6 * factor)]
-    assert changes(decisions) in ([], ["down"])
 
 
 @pytest.mark.parametrize(("capacity", "cause", "lasts_s"), [(5e5, "down", GOVERNOR.hold_s), (2e6, "up", RISE_S)])

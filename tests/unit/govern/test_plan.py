@@ -32,13 +32,6 @@ def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPT
     )
 
 
-def test_an_operators_cap_is_a_cap():
-    """The ceiling never exceeds `max_rate_hz`."""
-    capped = Settings(defaults=DefaultPreferences(max_rate_hz=15.0))
-    topic = replace(TOPIC, desired_rate_hz=15.0)
-    assert planned(1e8, [topic], settings=capped).topics["/t"].rate_hz == 15.0
-
-
 @given(st.floats(1.0, 5.0), st.integers(1, 10**10), st.floats(5e3, 1e6), st.floats(0.5, 1000.0))
 def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, capacity, source_hz):
     """The offer has the slack, 10 ms at least, is at most twice that, and is never longer than a reader requests."""

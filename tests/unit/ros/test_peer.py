@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from rclpy.serialization import serialize_message
 
-from arpd.estimate.receiver import PROMPT_S, QUIET_S
+from arpd.estimate.receiver import QUIET_S
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.ros.peer import Peer, ProbeStatus, default_name
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
@@ -77,13 +77,6 @@ class World:
 @pytest.fixture
 def world():
     return World()
-
-
-@pytest.mark.parametrize(("every_s", "period_s"), [(None, QUIET_S), (0.1, 0.1), (0.4, 0.2), (PROMPT_S / 4, PROMPT_S)])
-def test_pings_set_the_pace_of_reports(world, every_s, period_s):
-    """Without pings there are four reports a second, with more pings one for each, up to a bound."""
-    world.collect(1.0, every_s)
-    assert len(world.collect(10.0, every_s)) == pytest.approx(10.0 / period_s, rel=0.03)
 
 
 def test_a_ping_may_ask_for_fewer_reports(world):
