@@ -117,7 +117,8 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force():
 def test_the_missing_of_a_peer_is_a_condition_where_none_reports(has_peer):
     """`without_peer` holds where no peer reports, and nowhere else."""
     played = play(duration_s=15.0, has_peer=has_peer)
-    assert (Condition.WITHOUT_PEER in played.daemon.record.since_s) is not has_peer
+    found = {finding.condition for finding in played.daemon.snapshot.found}
+    assert (Condition.WITHOUT_PEER in found) is not has_peer
 
 
 @pytest.mark.parametrize(("others_hz", "is_over"), [(0.2, False), (1.0, True)])
