@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import ipaddress
-import json
 import os
 import ssl
 import zlib
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlsplit
 
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
@@ -256,8 +256,8 @@ def _tls(cacert: Path | None) -> ssl.SSLContext:
 
 def _json(body: bytes) -> Any:
     try:
-        return json.loads(body, parse_constant=lambda _: None)
-    except (ValueError, RecursionError):
+        return from_json(body, allow_inf_nan=False)
+    except ValueError:  # also where it is nested more than 200 deep
         return None
 
 

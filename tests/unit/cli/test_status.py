@@ -78,6 +78,7 @@ def test_a_silent_daemon_here_is_explained_by_its_unit(run, monkeypatch):
         ('{"api_version": "v9", "ready": true, "link": {}}', 200, 1, "another version"),
         ("<html>", 200, 3, "is not arpd"),
         ("503 busy\n", 503, 3, "is not arpd"),
+        (f'{{"api_version": "v1", "link": {"[" * 900}{"]" * 900}}}', 200, 3, "is not arpd"),
         ("421 Misdirected Request\n", 421, 3, "a name of its own"),
     ],
 )
