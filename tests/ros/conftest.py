@@ -71,3 +71,18 @@ def background():
     stopping.set()
     for thread in threads:
         thread.join(timeout=5)
+
+
+@pytest.fixture
+def talking(background):
+    """Let writers publish until the test ends, at most so many times a second."""
+
+    def start(*writers, rate_hz=100):
+        def talk(stopping):
+            while not stopping.wait(1 / rate_hz):
+                for writer in writers:
+                    writer.publish()
+
+        background(talk)
+
+    return start

@@ -24,7 +24,7 @@ ROBOT, BASE, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
 
 
 class TwoEnds:
-    """Starts, kills and restarts the ends; keeps their status lines."""
+    """Starts, kills and restarts the ends; keeps their status lines, and counts their pings."""
 
     def __init__(self, folder, stack, relay=(), domains=(ROBOT, BASE)):
         self._folder = folder
@@ -35,6 +35,7 @@ class TwoEnds:
         self.config.write_text("relay:\n" + "\n".join(lines) + "\n")
         self.processes = {}
         self.status = {"robot": "", "base": ""}
+        self.pings = {"robot": 0, "base": 0}  # of the watchdog
 
     def start(self, *ends, **environment):
         for end in ends or ("robot", "base"):
@@ -92,6 +93,7 @@ class TwoEnds:
                     for line in notices.recv(65536).decode().splitlines():
                         if line.startswith("STATUS="):
                             self.status[end] = line.removeprefix("STATUS=")
+                        self.pings[end] += line == "WATCHDOG=1"
 
         threading.Thread(target=listen, daemon=True).start()
         return "@" + address[1:]

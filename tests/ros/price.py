@@ -25,14 +25,7 @@ class PriceSender:
         self._publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
 
     def __call__(self, price=FREE):
-        self.send(encode_price(price))
-
-    def send(self, numbers):
-        self._publisher.publish(Float64MultiArray(data=numbers))
-
-    @property
-    def handle(self):
-        return self._publisher.handle
+        self._publisher.publish(Float64MultiArray(data=encode_price(price)))
 
     def until(self, price, what, condition):
         """Send a price again and again, because its topic is best effort, until a condition holds."""

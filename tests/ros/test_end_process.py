@@ -1,8 +1,6 @@
 """The process of one end: its watchdog, its stop, and what it refuses."""
 
-import os
 import signal
-import socket
 from contextlib import ExitStack
 
 import pytest
@@ -18,9 +16,11 @@ def ends(ros, tmp_path):
         yield TwoEnds(tmp_path, stack, ["services: [/add]"])
 
 
-def test_an_end_that_calls_and_carries_stops_without_a_fault(ends, tmp_path, background, eventually):
+def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(
+    ends, tmp_path, background, eventually
+):
     """SIGTERM ends both ends with status 0 and no traceback, although calls and samples arrive meanwhile."""
-    ends.start()
+    ends.start(WATCHDOG_USEC="20000000")
     robot, base = ends.side("robot").node("server"), ends.side("base").node("client")
     robot.create_service(BasicTypes, "/add", lambda _request, response: response)
     talker, heard = robot.create_publisher(String, "/talk", 10), []
@@ -37,19 +37,8 @@ def test_an_end_that_calls_and_carries_stops_without_a_fault(ends, tmp_path, bac
     background(use)
     eventually("samples cross", lambda: len(heard) > 10)
     eventually("a call is answered", lambda: any(answer.done() for answer in answers))
+    # The parts would be stale after five seconds.
+    eventually("both feed the watchdog", lambda: min(ends.pings.values()) >= 7)
     assert [ends.end(end, signal.SIGTERM) for end in ("base", "robot")] == [0, 0]
     logs = [(tmp_path / f"{end}.log").read_text() for end in ("base", "robot")]
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
-
-
-def test_an_end_feeds_the_watchdog(ends):
-    """An end pings systemd again and again while its threads wait for samples."""
-    address = f"\0arpd-test-{os.getpid()}-watchdog"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
-        notices.bind(address)
-        notices.settimeout(60.0)
-        ends.start("robot", NOTIFY_SOCKET="@" + address[1:], WATCHDOG_USEC="20000000")
-        pings = 0
-        while pings < 7:  # the parts would be stale after five seconds
-            pings += notices.recv(65536) == b"WATCHDOG=1"
-        ends.end("robot", signal.SIGTERM)

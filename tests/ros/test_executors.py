@@ -89,9 +89,9 @@ def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
     eventually("one writer is left", lambda: len(talker.get_publishers_info_by_topic(TOPIC)) == 1)
 
 
-def test_many_threads_publish_at_once(ros, talker, background, eventually):
+def test_many_threads_publish_at_once(ros, background, eventually):
     """Messages of several threads, typed and raw, arrive once and in each thread's order, through swaps."""
-    publisher = AdaptivePublisher(talker, String, TOPIC, 5000, swap_timing=QUICK)
+    publisher = AdaptivePublisher(ros.node("talker"), String, TOPIC, 5000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     background(swap_all_the_time(publisher))
     per_thread, threads = 100, 4
@@ -114,8 +114,9 @@ def test_many_threads_publish_at_once(ros, talker, background, eventually):
         assert mine == [f"{thread} {number}" for number in range(per_thread)]
 
 
-def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, talker, background, eventually):
+def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, background, eventually):
     """With use_sim_time and a paused clock, messages are paced and writers swapped."""
+    talker = ros.node("talker")
     talker.set_parameters([Parameter("use_sim_time", value=True)])
     clock = ros.node("simulator").create_publisher(Clock, "/clock", 1)
     clock.publish(Clock())

@@ -1,7 +1,6 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
 import threading
-import time
 from contextlib import ExitStack, closing
 
 import pytest
@@ -14,7 +13,7 @@ from arpd.relay.ends.prefix import Participants, Prefixed
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
-from tests.ros.ends_world import is_whole, numbers
+from tests.ros.ends_world import RELIABLE, Counter, is_whole, listen, numbers
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -49,13 +48,13 @@ def look(relay, stopping):
         relay.look()
 
 
-def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, background, eventually):
+def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, talking, eventually):
     """Messages of a plain publisher on /chatter arrive unchanged on /link/chatter."""
-    talker = Numbers(elsewhere("plain").create_publisher(String, "/chatter", 1000), "plain")
+    talker = Counter(elsewhere("plain"), String, "/chatter", RELIABLE)
     received = listen(elsewhere("far"), "/link/chatter")
     settings = RelaySettings(topics=(RelayTopic(name="/chatter", depth=1000), RelayTopic(name="/never")))
     carry(elsewhere("relay"), settings)
-    background(talker.talk)
+    talking(talker, rate_hz=20)
     eventually("samples arrive", lambda: len(received) > 20)
     assert is_whole(received, "plain")
     eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published: /never")
@@ -78,37 +77,17 @@ def elsewhere(ros):
     return lambda name, **options: ros.elsewhere().node(name, **options)
 
 
-class Numbers:
-    """A talker that publishes its name and consecutive numbers."""
-
-    def __init__(self, publisher, name, rate_hz=20):
-        self.publisher, self.name, self.rate_hz, self.sent = publisher, name, rate_hz, 0
-
-    def talk(self, stopping):
-        while not stopping.is_set():
-            self.publisher.publish(String(data=f"{self.name} {self.sent}"))
-            self.sent += 1
-            time.sleep(1 / self.rate_hz)
-
-
-def listen(node, topic):
-    received = []
-    node.create_subscription(String, topic, lambda m: received.append(m.data), 1000)
-    return received
-
-
 SETTINGS = RelaySettings(topics=(RelayTopic(name="/chatter", overflow=Overflow.QUEUE, depth=1000),))
 
 
-def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, background, eventually):
+def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, talking, eventually):
     """A best-effort publisher that joins is carried too, and the first one's messages are not lost or doubled."""
-    reliable = Numbers(elsewhere("first").create_publisher(String, "/chatter", 1000), "first")
+    reliable = Counter(elsewhere("first"), String, "/chatter", RELIABLE)
     received = listen(elsewhere("far"), "/link/chatter")
     carry(elsewhere("relay"), SETTINGS)
-    background(reliable.talk)
+    talking(reliable, rate_hz=20)
     eventually("the first one is heard", lambda: len(numbers(received, "first")) > 20)
-    weak = Numbers(elsewhere("second").create_publisher(String, "/chatter", BEST_EFFORT), "second")
-    background(weak.talk)
+    talking(Counter(elsewhere("second"), String, "/chatter", BEST_EFFORT), rate_hz=20)
     eventually("the second one is heard", lambda: len(numbers(received, "second")) > 20)
     so_far = reliable.sent
     eventually("the first one goes on", lambda: numbers(received, "first")[-1] >= so_far)
@@ -143,9 +122,9 @@ def test_a_writer_is_known_for_half_a_minute_after_it_left():
     assert offered_at(134.0, nameless) == [nameless]
 
 
-def test_circles_are_refused_and_named(elsewhere, lines, carry, background, eventually):
+def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):
     """A topic is carried no more once a node publishes it that reads what is republished; the others go on."""
-    background(Numbers(elsewhere("plain").create_publisher(String, "/chatter", 10), "plain").talk)
+    talking(Counter(elsewhere("plain"), String, "/chatter", 10), rate_hz=20)
     elsewhere("other").create_publisher(String, "/other", 10)
     carry(elsewhere("relay"), RelaySettings(topics=(RelayTopic(name="/chatter"), RelayTopic(name="/other"))))
     received = listen(elsewhere("far"), "/link/chatter")

@@ -29,25 +29,6 @@ NODE = REPO / "etc/sros2/node.xml"
 XI = "{http://www.w3.org/2001/XInclude}"
 PROCESSES = {"arpd": "/arpd/run", "arpd_relay_robot": "/arpd/relay", "arpd_peer": "/arpd/peer"}  # node → enclave
 TOPIC = "/sros2/scan"
-# Element → allowed children, by sros2's policy.xsd 0.2.0.
-CHILDREN = {
-    "policy": {"enclaves"},
-    "enclaves": {"enclave"},
-    "enclave": {"profiles"},
-    "profiles": {"profile"},
-    "profile": {"topics", "services"},
-    "topics": {"topic"},
-    "services": {"service"},
-    "topic": set(),
-    "service": set(),
-}
-ATTRIBUTES = {
-    "policy": {"version"},
-    "enclave": {"path"},
-    "profile": {"ns", "node"},
-    "topics": {"publish", "subscribe"},
-    "services": {"request", "reply"},
-}
 
 
 def included(path):
@@ -176,12 +157,10 @@ def wait_for_plan(node):
 
 
 def test_the_policy_has_sros2s_form():
-    """Every element and attribute of the policy is in sros2's format 0.2.0, without DENY and without a bare *."""
+    """The policy is of sros2's format 0.2.0, and has neither DENY nor a bare *."""
     root = included(POLICY)
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     for element in root.iter():
-        assert {child.tag for child in element} <= CHILDREN[element.tag]
-        assert set(element.keys()) <= ATTRIBUTES.get(element.tag, set())
         if element.tag in {"topics", "services"}:
             assert set(element.attrib.values()) == {"ALLOW"}
         if element.tag in {"topic", "service"}:

@@ -76,22 +76,6 @@ def world(ros, running, tmp_path):
         yield lambda *relay, **options: TwoEnds(tmp_path, stack, relay, **options)
 
 
-@pytest.fixture
-def talking(background):
-    """Let writers publish until the test ends, at most 100 times a second."""
-
-    def start(*writers):
-        def talk(stopping):
-            while not stopping.is_set():
-                for writer in writers:
-                    writer.publish()
-                time.sleep(0.01)
-
-        background(talk)
-
-    return start
-
-
 def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(ends, talking, eventually):
     """A topic crosses under its own name while somebody reads it there, and the robot's writer has no reader before."""
     writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", RELIABLE)
@@ -247,9 +231,9 @@ def test_types_that_differ_between_the_sides_are_named(ends, eventually):
     eventually("both types are named", lambda: words in ends.status["base"])
 
 
-def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventually):
-    """After a kill -9 of the robot's end its topics go on, and no reader gets a sample twice, latched ones neither."""
-    ends = world().start()
+def test_a_killed_end_returns_and_doubles_nothing(world, talking, eventually):
+    """After a kill -9 of either end its topics go on, no reader gets a sample twice, and a late one the history."""
+    ends = world(*ORDERED).start()
     robot, base = ends.side("robot"), ends.side("base")
     still = Counter(robot.node("map_server"), String, "/map", latched(1))
     still.publish()
@@ -257,33 +241,17 @@ def test_a_killed_robot_end_returns_and_doubles_nothing(world, talking, eventual
     planner = base.node("planner")
     maps, received = listen(planner, "/map", latched(10)), listen(planner, "/chatter")
     eventually("the map and samples arrive", lambda: maps and len(received) > 20)
-    ends.end("robot")
-    before = len(received)
-    ends.start("robot")
-    eventually("samples go on", lambda: len(received) > before + 50)
-    found = numbers(received, "sensor")
-    assert found == sorted(set(found))
-    assert maps == ["map_server 0"]
-
-
-def test_a_killed_far_end_returns(world, talking, eventually):
-    """After a kill -9 of the far end a reader there hears its topics again without a hole; a late one the history."""
-    ends = world(*ORDERED).start()
-    robot, base = ends.side("robot"), ends.side("base")
-    still = Counter(robot.node("map_server"), String, "/map", latched(1))
-    still.publish()
-    talking(Counter(robot.node("sensor"), String, "/chatter", RELIABLE))
-    received = listen(base.node("planner"), "/chatter")
-    eventually("samples arrive", lambda: len(received) > 20)
-    ends.end("base")
-    before = len(received)
-    ends.start("base")
-    eventually("samples go on", lambda: len(received) > before + 300)  # the robot's end has taken note by then
+    for end, enough in (("robot", 50), ("base", 300)):  # the robot's end has taken note by then
+        ends.end(end)
+        before = len(received)
+        ends.start(end)
+        eventually("samples go on", lambda before=before, enough=enough: len(received) > before + enough)
+        assert end == "base" or maps == ["map_server 0"]
     assert is_whole(received[before:], "sensor")
     found = numbers(received, "sensor")
     assert found == sorted(set(found))
-    maps = listen(base.node("late"), "/map", latched(10))
-    eventually("a late reader gets the map", lambda: maps == ["map_server 0"])
+    late = listen(base.node("late"), "/map", latched(10))
+    eventually("a late reader gets the map", lambda: late == ["map_server 0"])
 
 
 def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually):
@@ -308,18 +276,6 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     assert still.publisher.get_subscription_count() == 0
     received = listen(living, "/map", RELIABLE, UInt8MultiArray)
     eventually("the living reader gets the map", lambda: lives(lambda: len(received) == 1))
-
-
-def test_without_its_other_end_an_end_waits(world, eventually):
-    """An end whose other end is missing says so and carries nothing; it says so again when that one leaves for good."""
-    ends = world().start("robot")
-    writer = Counter(ends.side("robot").node("sensor"), String, "/chatter", 10)
-    eventually("the end waits", lambda: "waiting for the base computer's end; 1 topics" in ends.status["robot"])
-    assert writer.publisher.get_subscription_count() == 0
-    ends.start("base")
-    eventually("the ends meet", lambda: "0 of 1 topics cross to the base computer" in ends.status["robot"])
-    ends.end("base")
-    eventually("the silent end is named", lambda: "the base computer's end is silent" in ends.status["robot"])
 
 
 def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
@@ -468,9 +424,13 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     assert all(number % 7 for number in stamps[topics[0]])
 
 
-def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually):
-    """The robot's end alone tells the daemon what crosses and who is silent; the daemon notices when it ends."""
-    ends = world().start()
+def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world, talking, eventually):
+    """The robot's end waits, and says who is silent; it alone tells the daemon, which notices when it ends."""
+    ends = world().start("robot")
+    writer = ends.side("robot").node("other").create_publisher(String, "/unread", 10)
+    eventually("the end waits", lambda: "waiting for the base computer's end; 1 topics" in ends.status["robot"])
+    assert writer.get_subscription_count() == 0
+    ends.start("base")
     node = ends.link_side().node("arpd")
     daemon = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None, has_two_ends=True)
     talking(Counter(ends.side("robot").node("sensor"), String, "/chatter", 10))
@@ -484,9 +444,11 @@ def test_the_daemon_sees_both_ends_and_their_silence(world, talking, eventually)
 
     relay = eventually("the daemon sees what crosses", lambda: shows(lambda relay: relay.to_base.wanted == 1))
     assert (relay.is_reachable, relay.other_host, relay.fault) == (True, platform.node(), "")
-    assert (relay.to_base.offered, relay.to_robot.offered, relay.to_base.refused) == (1, 0, {})
+    assert (relay.to_base.offered, relay.to_robot.offered, relay.to_base.refused) == (2, 0, {})
+    eventually("the ends meet", lambda: "1 of 2 topics cross to the base computer" in ends.status["robot"])
     ends.end("base")
     eventually("the daemon sees who is silent", lambda: shows(lambda relay: not relay.is_reachable))
+    eventually("the silent end is named", lambda: "the base computer's end is silent" in ends.status["robot"])
     liar = node.create_publisher(UInt8MultiArray, PUBLISHERS_TOPIC, BEST_EFFORT)
 
     def is_refused():

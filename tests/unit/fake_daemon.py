@@ -89,24 +89,8 @@ def event(number, text, *, kind="plan", severity="info", at_s=1e9):
 
 
 def busy():
-    """Return the demo's robot behind a slow link: the camera is slowed most, one topic refuses, three are late."""
+    """Return the demo's robot behind a slow link."""
     answered = document(observation={"publishers": demo_robot(), "relay": None})
-    by_name = {topic["topic"]: topic for topic in answered["topics"]}
-    slowed = next(topic["allocation"] for topic in document()["topics"] if topic["topic"] == "/camera/image")
-    for name, ratio in (("/link/camera/image/compressed", 0.08), ("/link/points", 0.4)):
-        topic = by_name[name]
-        topic |= {"kept_ratio": ratio, "allocation": slowed | {"name": name}}
-        topic["planned"] = {
-            "rate_hz": topic["confirmed"]["source_rate_hz"] * ratio,
-            "min_rate_hz": 0.0,
-            "depth": 10,
-            "deadline_ns": 0,
-            "weight": 1.0,
-            "wire_bytes": 1000.0,
-            "packets": 1,
-        }
-    by_name["/link/odom"]["confirmed"] |= {"refusal": "depth 16: no match"}
-    by_name["/link/imu"]["confirmed"]["deadlines_missed"] = 3
     answered["verdict"] |= {"severity": "warning", "text": "The link is the limit: so", "wrong": False}
     answered["events"] = [event(number, f"event {number}") for number in range(30)]
     return answered

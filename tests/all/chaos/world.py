@@ -184,7 +184,7 @@ class World:
         path = self._workdir / f"{self._starts}.yaml"
         path.write_text(json.dumps(config))  # JSON is YAML
         daemon = self.start("daemon", path)
-        daemon.url = f"http://127.0.0.1:{config['http']['port']}"
+        daemon.url, daemon.config = f"http://127.0.0.1:{config['http']['port']}", path
         return daemon
 
     # -- the view and the actions of any process

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import http.client
 import os
-import socket
 
-from scripts.netns.namespaces import inside
 from scripts.netns.simlink import INTERFACE, SimLink
+from scripts.robot.proxy import window
 from tests.all.link.hosts import NEEDS_LINK, ip, python
+from tests.scrape import metrics
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
@@ -27,33 +26,26 @@ def arpd(link, host, log, *argv):
     return python(link, host, "-m", "arpd.cli", *argv, environment=again, stderr=log)
 
 
-def metric(link, name):
-    """Return a metric of the daemon on the robot, None while it does not answer."""
-    try:
-        with inside(
-            link.robot.namespace, lambda: socket.create_connection(("127.0.0.1", PORT), timeout=5.0)
-        ) as channel:
-            connection = http.client.HTTPConnection("127.0.0.1", PORT)
-            connection.sock = channel
-            connection.request("GET", "/metrics", headers={"Connection": "close"})
-            lines = connection.getresponse().read().decode().splitlines()
-    except OSError:
-        return None
-    return next((float(line.split()[-1]) for line in lines if line.startswith(f"{name} ")), None)
-
-
 def test_a_link_that_comes_after_the_daemon_is_taken(tmp_path):
     """The daemon starts without the link, logs that, restarts once the link has an address, and hears the peer."""
     (tmp_path / "arpd.yaml").write_text(f"link: {{interface: {INTERFACE}}}\nhttp: {{port: {PORT}}}\n")
-    with SimLink(f"late-{os.getpid()}") as link, (tmp_path / "log").open("w") as log:
+    with (
+        SimLink(f"late-{os.getpid()}") as link,
+        (tmp_path / "log").open("w") as log,
+        window(link.robot, PORT) as url,
+    ):
+
+        def metric(name):
+            return metrics(url).get(name)
+
         ip(link.robot, "address", "flush", "dev", INTERFACE)
         rename(link.robot, INTERFACE, "away")
         arpd(link, "base", log, "peer", "--interface", INTERFACE)
         arpd(link, "robot", log, "run", "--config", str(tmp_path / "arpd.yaml"))
-        eventually("the daemon is ready", lambda: metric(link, "arpd_ready") == 1)
+        eventually("the daemon is ready", lambda: metric("arpd_ready") == 1)
         assert f"{INTERFACE} is not there yet" in (tmp_path / "log").read_text()
         rename(link.robot, "away", INTERFACE)
-        assert metric(link, "arpd_peer_reports_total") == 0
+        assert metric("arpd_peer_reports_total") == 0
         ip(link.robot, "address", "add", f"{link.robot.address}/30", "dev", INTERFACE)
-        eventually("the peer is heard", lambda: (metric(link, "arpd_peer_reports_total") or 0) > 10)
+        eventually("the peer is heard", lambda: (metric("arpd_peer_reports_total") or 0) > 10)
         assert f"arpd: {INTERFACE} has a new address, which ROS" in (tmp_path / "log").read_text()

@@ -1,11 +1,9 @@
 """A real daemon and publisher beside a process that floods the network with false messages."""
 
 import os
-import re
 import subprocess
 import sys
 import time
-import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from tests.all.chaos.world import DOMAIN, Log, World, status, this_host_only
+from tests.scrape import metrics
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -24,19 +23,9 @@ ENOUGH = 50
 CAPACITY_MBIT = 100.0
 
 
-def metrics(daemon):
-    """Return all series of a scrape by name and labels, empty while the daemon does not answer."""
-    try:
-        with urllib.request.urlopen(f"{daemon.url}/metrics", timeout=5.0) as answer:
-            found = re.findall(r"^(arpd_\S+|process_\S+) (\S+)$", answer.read().decode(), re.MULTILINE)
-    except OSError:
-        return {}
-    return {name: float(value) for name, value in found}
-
-
 def scraped(daemon):
     """Return the series of a scrape that succeeds."""
-    return eventually("the daemon answers a scrape", lambda: metrics(daemon))
+    return eventually("the daemon answers a scrape", lambda: metrics(daemon.url))
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +47,11 @@ def play(world):
     try:
         daemon = world.daemon(link={"interface": "lo", "initial_capacity": f"{CAPACITY_MBIT}mbit"})
         log = Log(world, "far", [TOPIC])
-        eventually("the daemon ticks", lambda: metrics(daemon).get("arpd_ticks_total", 0) > 5)
+        eventually("the daemon ticks", lambda: metrics(daemon.url).get("arpd_ticks_total", 0) > 5)
         print("go", file=rogue.stdin, flush=True)
         eventually("the flood arrives", lambda: refusals(daemon) > 500)
         world.talker(TOPIC)
-        eventually("the honest one is confirmed", lambda: metrics(daemon).get("arpd_publishers_confirmed") == 1)
+        eventually("the honest one is confirmed", lambda: metrics(daemon.url).get("arpd_publishers_confirmed") == 1)
         seen, until_s = [], time.monotonic() + AFTER_S
         while time.monotonic() < until_s:
             seen.append(scraped(daemon))
@@ -82,7 +71,7 @@ def play(world):
 
 
 def refusals(daemon):
-    return sum(value for name, value in metrics(daemon).items() if name.startswith("arpd_messages_refused_total"))
+    return sum(value for name, value in metrics(daemon.url).items() if name.startswith("arpd_messages_refused_total"))
 
 
 def test_an_honest_publisher_is_planned_for_in_a_flood(outcome):

@@ -1,5 +1,8 @@
 """A thousand publishers on four nodes are found, planned and confirmed, with real rclpy."""
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -11,10 +14,11 @@ from arpd.govern.progress import progress
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from arpd.ros.world import RosControl
-from tests.ros.child import child
+from tests.ros.domain import DOMAIN
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 NODES, TOPICS = 4, 250
+REPO = Path(__file__).parents[3]
 ALL = NODES * TOPICS
 MOST_ROW_S = 250e-6  # of this process per topic and second; measured: 36
 TICKS_HZ = 10.0
@@ -53,8 +57,15 @@ class Planner:
 
 @pytest.fixture
 def talkers():
-    with child(Path(__file__).with_name("many_talkers.py"), NODES, TOPICS) as process:
+    with subprocess.Popen(
+        [sys.executable, Path(__file__).with_name("many_talkers.py"), str(NODES), str(TOPICS)],
+        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPO)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
         yield process
+        process.kill()
 
 
 def wait_until(planner, condition, timeout_s=60.0):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import signal
 import time
-import urllib.request
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from tests.all.chaos.nodes import BASELINE_DEPTH
-from tests.all.chaos.world import World, free_port, this_host_only
+from tests.all.chaos.world import World, this_host_only
+from tests.scrape import metrics
 from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.ros
@@ -23,9 +23,8 @@ HANGS = "second"
 class Stage:
     """Three nodes that publish across the assumed link, and a daemon that plans for them."""
 
-    def __init__(self, world, path):
+    def __init__(self, world):
         self.world = world
-        self.path = path
         world.start("listener", "listener", *TOPICS.values())
         self.talkers = {}
         for name, topic in TOPICS.items():
@@ -33,20 +32,15 @@ class Stage:
         for talker in self.talkers.values():
             eventually("the reader matches", lambda talker=talker: all(talker.tell("matched").values()))
             talker.tell("publish", is_on=True, number=0)
-        self.port = free_port()
-        self.write(depth=100)
-        self.daemon = world.start("daemon", path)
+        self.daemon = world.daemon(depth=100)
         self.process = self.daemon._popen
         eventually("the first plan is in force", lambda: self.shows(100))
 
-    def write(self, *, depth):
-        settings = {
-            "link": {"interface": "lo", "capacity": "10gbit"},
-            "http": {"port": self.port},
-            "governor": {"hold": "1h"},
-            "defaults": {"min_depth": depth, "max_depth": depth, "latency_budget": "none"},
-        }
-        self.path.write_text(json.dumps(settings))
+    def reload(self, *, depth):
+        settings = json.loads(self.daemon.config.read_text())
+        settings["defaults"] |= {"min_depth": depth, "max_depth": depth}
+        self.daemon.config.write_text(json.dumps(settings))
+        self.process.send_signal(signal.SIGHUP)
 
     def shows(self, depth, *names):
         return all(self.world.shows(TOPICS[name], depth=depth) for name in names or TOPICS)
@@ -54,26 +48,22 @@ class Stage:
     def send(self, name, number):
         self.talkers[name]._popen.send_signal(number)
 
-    def metric(self, name):
-        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/metrics", timeout=10.0) as answer:
-            lines = answer.read().decode().splitlines()
-        return next(float(line.split()[-1]) for line in lines if line.startswith(f"{name} "))
+    def generation(self):
+        return metrics(self.daemon.url).get("arpd_plan_generation", 0)
 
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
     """Start everything once; the tests follow each other, and the last one stops the daemon."""
-    folder = tmp_path_factory.mktemp("failures")
-    with this_host_only(), World(folder) as world:
-        yield Stage(world, folder / "arpd.yaml")
+    with this_host_only(), World(tmp_path_factory.mktemp("failures")) as world:
+        yield Stage(world)
 
 
 def test_a_node_that_hangs_delays_nobodys_plan(stage):
     """While one node is stopped the others take a new plan; when it continues, it follows."""
     stage.send(HANGS, signal.SIGSTOP)
     try:
-        stage.write(depth=130)
-        stage.process.send_signal(signal.SIGHUP)
+        stage.reload(depth=130)
         eventually(
             "the others have the new plan", lambda: stage.shows(130, *(name for name in TOPICS if name != HANGS))
         )
@@ -85,10 +75,9 @@ def test_a_node_that_hangs_delays_nobodys_plan(stage):
 
 def test_a_stop_during_a_swap_with_a_node_that_hangs_is_clean(stage):
     """After several stop signals it restores every node that answers, and exits 0."""
-    stage.write(depth=170)
-    stage.process.send_signal(signal.SIGHUP)
-    generation = stage.metric("arpd_plan_generation")
-    eventually("a new plan is asked for", lambda: stage.metric("arpd_plan_generation") > generation)
+    generation = stage.generation()
+    stage.reload(depth=170)
+    eventually("a new plan is asked for", lambda: stage.generation() > generation)
     stage.send(HANGS, signal.SIGSTOP)
     try:
         stage.process.terminate()

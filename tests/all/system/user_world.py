@@ -16,6 +16,14 @@ PROFILE = "/usr/share/arpd/fastdds.xml"
 IMPORT = "from arpd import AdaptivePublisher; print(AdaptivePublisher.__module__)"
 NODE = "/srv/user_node.py"
 FILES = {NODE: Path(__file__).with_name("user_node.py")}
+READER = """
+import sys, rclpy
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("listener")
+node.create_subscription(String, sys.argv[1], lambda _: None, 10)
+rclpy.spin(node)
+"""
 _USER = 4242  # neither root nor arpd
 
 
@@ -64,9 +72,9 @@ def run_node(booted, link, log):
     Return the row of its topic, and what it told.
     """
     with ExitStack() as stack:
-        for module in (("arpd.cli", "peer"), ("tests.all.system.user_reader",)):
+        for argv in (("-m", "arpd.cli", "peer"), ("-c", READER, TOPIC)):
             process = link.popen(
-                "base", [sys.executable, "-m", *module], env=dict(os.environ), cwd=REPO, stdout=log, stderr=log
+                "base", [sys.executable, *argv], env=dict(os.environ), cwd=REPO, stdout=log, stderr=log
             )
             stack.callback(process.wait)
             stack.callback(process.terminate)

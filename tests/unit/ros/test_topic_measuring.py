@@ -27,11 +27,10 @@ def endpoint(node, *, at=ROBOT):
 
 
 class Topic:
-    """A topic whose first writer publishes at a rate, from some time on."""
+    """A topic whose first writer publishes at a rate."""
 
-    def __init__(self, *writers, readers=(), rate_hz=math.nan, from_s=0.0):
-        self.writers, self.readers = writers, readers
-        self.rate_hz, self.from_s = rate_hz, from_s
+    def __init__(self, *writers, readers=(), rate_hz=math.nan):
+        self.writers, self.readers, self.rate_hz = writers, readers, rate_hz
 
 
 class Reader:
@@ -42,7 +41,7 @@ class Reader:
         self.topic = world.topics[topic]
         self.is_reliable, self.is_latched = True, False
         self.number = 0
-        self.due_s = max(world.now_s, self.topic.from_s) if self.topic.rate_hz > 0 else math.inf
+        self.due_s = world.now_s if self.topic.rate_hz > 0 else math.inf
 
     def take(self):
         self.number += 1
@@ -78,7 +77,7 @@ class World:
 
     @property
     def types(self):
-        return {name: ("std_msgs/msg/String",) for name, topic in self.topics.items() if topic.from_s <= self.now_s}
+        return dict.fromkeys(self.topics, ("std_msgs/msg/String",))
 
     def writers(self, topic):
         if topic == ON_EVERY_NODE:
@@ -165,12 +164,6 @@ def test_a_relayed_topic_is_listed_once(world):
         found = world.survey(prefix="/link")
         assert found.keys() == {"/scan", "/link/mine"}
         assert (found["/scan"].relayed_as, found["/scan"].is_crossing) == ("/link/scan", bool(readers))
-
-
-def test_a_node_that_comes_late_is_measured(world):
-    """What is published only after the measurement has begun is measured for the rest."""
-    world.topics = {"/early": Topic(endpoint("/talker")), "/late": Topic(endpoint("/talker"), rate_hz=50, from_s=6.0)}
-    assert world.survey()["/late"].traffic.rate_hz == pytest.approx(50, rel=0.05)
 
 
 def test_without_hosts_nothing_is_measured_and_the_reason_is_told(world, monkeypatch):
