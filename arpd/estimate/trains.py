@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from arpd.model.probing import Train
 
 _FRESH_S, _SURPRISE = 2.5, 0.2  # a train that differs by more from the capacity is confirmed at once
-_SENDER_LIMITED = 0.8  # a train that arrives as it left: the link takes no longer than that
+_SENDER_LIMITED = 0.7  # a train that arrives nearly as it left: the link takes no longer than that
 _SMALL = 0.5  # of the size of a large packet
 _PAIR_S = 1.0  # a small and a large train this close together saw the same link
 _PAIRS = 15

@@ -5,7 +5,7 @@ Usage: python -m scripts.bench                                  list them, with 
        python -m scripts.bench --docs                           only write docs/results.md and README.md's table
 
 Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed
-is void, and is not kept. With --quick, --only or --tree nothing is kept but in --out.
+is void, and is not kept. With --quick, --tree or, but for robots, --only nothing is kept but in --out.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scripts.bench.world import TREE
 SCENARIOS = {
     "demo": ("demo.play", 2, 2, "does the demo show what arpd is for?"),
     "adapt": ("adapt.play", 170, 1, "how do latency, age and loss compare on links that change?"),
-    "robots": ("robots.play", 110, 1.5, "how do other robots, bottlenecks and transports fare?"),
+    "robots": ("robots.play", 36, 1.5, "how do other robots, bottlenecks and transports fare?"),
     "paper": ("paper.play", 45, 1.5, "does the paper's optimum hold with real ROS 2?"),
     "swap": ("swap.play", 30, 1.5, "what does a change of QoS lose?"),
     "faults": ("faults.play", 22, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
@@ -56,10 +56,13 @@ def is_valid(name: str, *, is_quick: bool, only: str, is_part: bool, out: Path |
     with watched() as noted:
         play = getattr(importlib.import_module(f"scripts.bench.{module}"), function)
         summary: Summary = play(is_quick=is_quick, **({"only": only} if only else {}))
-    summary.conditions.append(noted)
+    summary.conditions.append(noted | ({"of": only} if only else {}))
     print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
+    path = (out or RESULTS) / f"{name}.json"
+    if only and path.exists():
+        summary = Summary.read(path).with_part(summary, names=4)
     if out or not (is_part or noted.get("void")):
-        summary.write((out or RESULTS) / f"{name}.json")
+        summary.write(path)
     return is_quick or not noted.get("void")
 
 
@@ -81,12 +84,17 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "all"]))
     parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
     parser.add_argument("--again", action="store_true", help="also what this commit has been measured by")
-    parser.add_argument("--only", default="", metavar="TEXT", help="robots, estimate, fuzz: parts whose names have it")
+    parser.add_argument(
+        "--only",
+        default="",
+        metavar="TEXT",
+        help="robots (a regular expression), estimate, fuzz: parts whose names have it",
+    )
     parser.add_argument("--tree", type=Path, help="arpd's own processes from another source tree; nothing is kept")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
     parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
     options = parser.parse_args()
-    is_part = bool(options.quick or options.only or options.tree)
+    is_part = bool(options.quick or options.tree or (options.only and options.names != ["robots"]))
     if options.tree:
         os.environ[TREE] = str(options.tree.resolve())
     names = list(SCENARIOS) if options.names == ["all"] else options.names
@@ -97,7 +105,7 @@ def main() -> int:
         return 0
     wrong = []
     for name in names:
-        if not (is_part or options.again) and is_known(name):
+        if not (is_part or options.again or options.only) and is_known(name):
             print(f"{name}: this commit has been measured")
         elif not is_valid(name, is_quick=options.quick, only=options.only, is_part=is_part, out=options.out):
             wrong.append(name)

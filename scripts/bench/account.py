@@ -22,7 +22,7 @@ GROUPS = ("commands", "small", "paired", "large")
 LATE_MS = 100.0
 _MS = 1e-6  # of a nanosecond
 _S = 1e-9
-_AGE_S = 0.05  # between two looks at the age
+AGE_S = 0.05  # between two looks at the age
 
 
 class Account:
@@ -116,7 +116,7 @@ class Account:
 
     def _ages(self, rows: list[Any]) -> list[float]:
         """Return the age of the newest sample at the reader, 20 times a second; before the first, since the start."""
-        looks_s = np.arange(self.from_s + _AGE_S, self.until_s, _AGE_S)
+        looks_s = np.arange(self.from_s + AGE_S, self.until_s, AGE_S)
         if not rows:
             return list(looks_s - self.from_s)
         ordered = sorted(rows, key=lambda row: row[3])
@@ -124,6 +124,10 @@ class Account:
         known = np.searchsorted([row[3] * _S for row in ordered], looks_s) - 1
         ages: list[float] = (looks_s - np.where(known >= 0, newest_s[known], self.from_s)).tolist()
         return ages
+
+    def ages_s(self, name: str) -> list[float]:
+        """Return the age of the newest sample of a topic at the reader, each ``AGE_S`` (s)."""
+        return self._ages_s[name]
 
     def groups(self) -> dict[str, Any]:
         """Return the figures of each class of topics."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import random
 import sys
 from dataclasses import replace
-from functools import partial
 from statistics import fmean, median
 from typing import Any
 
@@ -172,7 +171,6 @@ def summary(runs: list[dict[str, Any]], every: dict[str, tuple[str, Course]], wa
             table("", [{"side": way, "what": WAYS[way][1]} for way in ways]),
             table("", [{"link": link, "course": what} for link, (what, _) in every.items()]),
             table("All figures, the worst round in brackets", rows),
-            crossed("p99 age (s)", partial(middle, key="age_p99_s")),
         ],
     )
 

@@ -10,8 +10,8 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Container, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -84,12 +84,14 @@ class Summary:
     ----------
     about : how it was measured, in sentences
     conditions : when, at which commit, on what and under which load; one for each part that was measured apart
+    drawn : a curve over time for each column but the first; a picture shows it, and no page
     """
 
     about: str
     figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     conditions: list[dict[str, Any]] = field(default_factory=list)
+    drawn: Table | None = None
 
     def write(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,6 +105,19 @@ class Summary:
             conditions=found["conditions"],
             figures=[Figure(**each) for each in found["figures"]],
             tables=[Table(**each) for each in found["tables"]],
+            drawn=Table(**found["drawn"]) if found.get("drawn") else None,
+        )
+
+    def with_part(self, part: Summary, *, names: int) -> Summary:
+        """Return it with the rows of another that measured a part again; so many cells of a row name it."""
+        rows = {tuple(row[:names]): row for each in (self, part) for row in each.tables[0].rows}
+        first = replace(part.tables[0], rows=list(rows.values()))
+        conditions = [each for each in self.conditions if each.get("of") != part.conditions[0].get("of")]
+        return replace(
+            part,
+            tables=[first, *part.tables[1:]],
+            conditions=conditions + part.conditions,
+            drawn=part.drawn if part.drawn and part.drawn.rows else self.drawn,
         )
 
     def markdown(self) -> str:
@@ -199,52 +214,62 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-def _selected(name: str, *columns: str, rows: Container[str]) -> str:
-    """Return some columns of the first table of a summary, and the rows whose first cell is one of ``rows``."""
-    first = Summary.read(RESULTS / f"{name}.json").tables[0]
-    at = [first.columns.index(column) for column in columns]
-    return _markdown(columns, [[shown(row[k]) for k in at] for row in first.rows if row[0] in rows])
+def _rivals(robots: Summary, robot: str = "tb4") -> str:
+    """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
+    first = robots.tables[0]
+    rows = [dict(zip(first.columns, row, strict=True)) for row in first.rows if row[0] == robot]
+    heads = {
+        "pictures/s": "large/s",
+        "small samples, p99 ms": "small p99 ms",
+        "delivered %": "small %",
+        "commands, p99 ms": "commands p99 ms",
+    }
 
+    def both(side: str, column: str) -> str:
+        return " / ".join(
+            shown(row[column])
+            for row in sorted(rows, key=lambda row: row["bottleneck"], reverse=True)
+            if row["side"] == side
+        )
 
-#: Blocks of README.md.
-README = {
-    "adapt-summary": lambda: _selected(
-        "adapt", "link", "defaults", "paper", "arpd", "bound", rows=("step-down", "outage", "wifi-walk")
-    ),
-}
+    sides = {"rclpy's defaults": "plain", "Fast DDS' LARGE_DATA": "large_data", "**arpd**": "two_ends"}
+    return _markdown(
+        ["", *heads], [[said, *(both(side, column) for column in heads.values())] for said, side in sides.items()]
+    )
 
 
 def write_pages() -> None:
-    """Fill every block of docs/results.md whose summary is there, and those of README.md."""
-    blocks = {path.stem: Summary.read(path).markdown for path in sorted(RESULTS.glob("*.json"))}
-    for path, known in ((REPO / "docs/results.md", blocks), (REPO / "README.md", README)):
+    """Fill every block of docs/results.md and README.md whose summary is there."""
+    known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
+    blocks = {name: summary.markdown() for name, summary in known.items()}
+    if robots := known.get("robots"):
+        blocks["rivals"] = _rivals(robots)
+        if robots.drawn:
+            curves(RESULTS / "robots.png", robots.drawn)
+    for path in (REPO / "docs/results.md", REPO / "README.md"):
 
-        def written(match: re.Match[str], known: Any = known) -> str:
-            if match["name"] not in known:
+        def written(match: re.Match[str]) -> str:
+            if match["name"] not in blocks:
                 return match[0]
-            text = "\n".join(map(_wrapped, known[match["name"]]().split("\n")))
+            text = "\n".join(map(_wrapped, blocks[match["name"]].split("\n")))
             return f"{match['begin']}{text}\n{match['end']}"
 
         path.write_text(_BLOCK.sub(written, path.read_text("utf-8")), "utf-8")
-    plot(RESULTS / "adapt.png", Summary.read(RESULTS / "adapt.json").tables[-1], unit="p99 of the age (s)")
 
 
-def plot(path: Path, table: Table, *, unit: str) -> None:
-    """Draw a table as dots on a logarithmic axis, a color for each column; the first one names the rows."""
+def curves(path: Path, table: Table) -> None:
+    """Draw the columns of a table over the first one."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(9, 1.2 + 0.35 * len(table.rows)), layout="constrained")
-    never = 2.0 * max((value for row in table.rows for value in row[1:] if value), default=1.0)
-    for at, name in enumerate(table.columns[1:], start=1):
-        values = [row[at] or never for row in table.rows]
-        axes.plot(values, range(len(values)), "o", markersize=5, alpha=0.8, label=name)
-    axes.set(xscale="log", xlabel=f"{unit}; at {never:.3g}: never")
-    axes.set_yticks(range(len(table.rows)), [str(row[0]) for row in table.rows])
-    axes.invert_yaxis()
+    figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
+    times, *columns = zip(*table.rows, strict=True)
+    for name, values in zip(table.columns[1:], columns, strict=True):
+        axes.plot(times, values, label=name)
+    axes.set(yscale="log", xlabel="s", ylabel=table.title)
     axes.grid(visible=True, color="0.9")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.15), ncols=len(table.columns), frameon=False)
+    axes.legend(loc="upper left", frameon=False)
     figure.savefig(path, dpi=90)
     plt.close(figure)

@@ -8,6 +8,7 @@ Camera infos are in no class, because they are of no use without their image: wh
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import partial
 from itertools import product
@@ -16,6 +17,7 @@ from typing import Any, get_args
 import yaml
 
 from arpd.sim.demo import COMMAND_TOPIC, DEMO_CONFIG, demo_topics
+from scripts.bench.account import AGE_S, Account
 from scripts.bench.child import ChildError
 from scripts.bench.links import DURATION_S, STALL_S, hard_links, links
 from scripts.bench.report import Summary, table
@@ -106,10 +108,7 @@ _TOPICS: dict[str, tuple[Topic, ...]] = {
     ),
     "telemetry": (*(_telemetry(k) for k in range(100)), _cmd(rate_hz=20.0)),
 }
-GROUPED = {"rgbd": ("/depth/image", "/depth/camera_info", "/color/image", "/color/camera_info")}
-
 _LINKS = {**links(), **hard_links()}
-_SERVICES = {"nav2": Service(name="/map_server/map", node=_MAP_SERVER, answer_bytes=4_000_000, every_s=10.0)}
 
 
 def demo_robot() -> Robot:
@@ -125,26 +124,38 @@ def demo_robot() -> Robot:
     )
 
 
-LINKS = ("steady-20", "fall-and-rise")
+_MORE: dict[str, Any] = {
+    "rgbd": {"groups": ("/depth/image", "/depth/camera_info", "/color/image", "/color/camera_info")},
+    "nav2": {"service": Service(name="/map_server/map", node=_MAP_SERVER, answer_bytes=4_000_000, every_s=10.0)},
+}
+ROBOTS = {
+    **{name: Robot(topics=topics, **_MORE.get(name, {})) for name, topics in _TOPICS.items()},
+    "demo": demo_robot(),
+}
 #: Sides by name, and what each is in words; all processes of the last three have arpd beside them.
 WAYS = {
     "plain": "rclpy's defaults",
     "large_data": "the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
     "adaptive_tcp": "the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
-    "two_ends": "plain nodes that stay on their hosts, and the relay's two ends",
+    "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
 }
+#: What a run without --only plays.
+_USUAL = ("fall-and-rise",), get_args(Bottleneck), ("plain", "large_data", "two_ends")
+#: The robot, link, bottleneck and topic of the picture.
+_SHOWN, _SHOWN_TOPIC, _EVERY = ("tb4", "fall-and-rise", "middle"), "/scan", 10
 
 
-def measured(robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: float) -> dict[str, Any]:
-    """Return the figures of one side."""
-    course = _LINKS[link][1]
-    about = Robot(topics=_TOPICS[robot], service=_SERVICES.get(robot), groups=GROUPED.get(robot, ()))
+def measured(
+    robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: float
+) -> tuple[dict[str, Any], Account]:
+    """Return the figures of one side, and what became of every sample."""
+    about, course = ROBOTS[robot], _LINKS[link][1]
     with world_of(about, SIDES[side], bottleneck=bottleneck, rate=course[0][1]) as world:
         account, spent = world.play(course, seconds)
     groups = account.groups()
     small, commands, large = (groups.get(name, {}) for name in ("small", "commands", "large"))
-    return {
+    row = {
         "robot": robot,
         "link": link,
         "bottleneck": bottleneck,
@@ -163,21 +174,34 @@ def measured(robot: str, link: str, bottleneck: Bottleneck, side: str, seconds: 
         "doubled, torn, late": ", ".join(map(str, account.faults().values())),
         "unmatched": len(spent["unmatched"]),
     }
+    return row, account
 
 
 def play(*, is_quick: bool, only: str = "") -> Summary:
-    """Play every robot on two links, with both bottlenecks and every side."""
-    cells = list(product(_TOPICS, _LINKS if only else LINKS, get_args(Bottleneck), WAYS))
+    """Play every robot on a link that falls and rises, with both bottlenecks, beside what a user would try first.
+
+    ``only`` picks parts of the whole, robots, links, bottlenecks and sides in which this regular expression is found.
+    """
+    cells: list[Any] = list(product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS) if only else product(ROBOTS, *_USUAL))
     if is_quick:
         cells = [("tb4", "fall-and-rise", "middle", "two_ends")]
-    rows = []
-    for cell in (each for each in cells if only in " ".join(each)):
+    rows, ages_s = [], {}
+    for robot, link, bottleneck, side in (each for each in cells if re.search(only, " ".join(each))):
+        lasts_s = 8.0 if is_quick else 2 * STALL_S if link == "stalled" else DURATION_S
         try:
-            lasts_s = 2 * STALL_S if cell[1] == "stalled" else DURATION_S
-            rows.append(measured(*cell, seconds=8.0 if is_quick else lasts_s))
+            row, account = measured(robot, link, bottleneck, side, lasts_s)
         except ChildError as error:
-            print(f"{', '.join(cell)}: {error}", file=sys.stderr)
+            print(f"{robot}, {link}, {bottleneck}, {side}: {error}", file=sys.stderr)
+            continue
+        rows.append(row)
+        if (robot, link, bottleneck) == _SHOWN:
+            ages_s[side] = account.ages_s(_SHOWN_TOPIC)[::_EVERY]
+    lines = [
+        {"s": AGE_S * _EVERY * k, **dict(zip(ages_s, each, strict=True))}
+        for k, each in enumerate(zip(*ages_s.values(), strict=True))
+    ]
     return Summary(
         about="One round each. Small: samples up to ten packets.",
         tables=[table("", rows), table("", [{"side": side, "what": what} for side, what in WAYS.items()])],
+        drawn=table(f"age of the newest {_SHOWN_TOPIC} (s)", lines),
     )

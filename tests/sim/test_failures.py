@@ -68,13 +68,13 @@ def test_a_dead_daemon_leaves_its_price_and_its_plan_in_force():
     dies_s = 14.0
     played = play(link="0:20mbit,8:0.5mbit", mute_s=dies_s, duration_s=30.0)
     last = played.between(0.0, dies_s)[-1].decision
+    prices = [tick.decision.price for tick in played.between(dies_s - 0.5, dies_s)]  # the last may not have been sent
     for topic, row in last.plan.topics.items():
         source_hz = next(t.rate_hz for t in TOPICS if t.name == topic)
-        allowed_hz = min(source_hz, last.price.rate_hz(row))
-        assert played.sent_hz(topic, dies_s + 2.0, 30.0) == pytest.approx(allowed_hz, rel=0.1)
+        allowed_hz = [min(source_hz, price.rate_hz(row)) for price in prices]
+        assert 0.9 * min(allowed_hz) < played.sent_hz(topic, dies_s + 2.0, 30.0) < 1.1 * max(allowed_hz)
     assert last.price.rate_hz(last.plan.topics["/points"]) < 0.7 * 20.0
-    # One of its samples takes the link 0.11 s; over eight seeds the longest queue is 0.11 to 0.33 s.
-    assert max(moment.queue_delay_s for moment in played.result.moments if moment.t_s > dies_s + 4.0) < 0.4
+    assert max(moment.queue_delay_s for moment in played.result.moments if moment.t_s > dies_s + 4.0) < 0.3
     assert {moment.confirmed for moment in played.result.moments if moment.t_s > dies_s + 2.0} == {len(TOPICS)}
 
 

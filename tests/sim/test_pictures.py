@@ -35,7 +35,7 @@ def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_bac
 @pytest.mark.parametrize("pushes_back", [True, False], ids=["sender", "middle"])
 @pytest.mark.parametrize("rates", ["0:20mbit", "0:5mbit", "0:20mbit,15:5mbit"])
 def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back):
-    """Pictures fill the link; an IMU and commands lose nothing and wait 25 ms, longer only at a fall."""
+    """Pictures fill the link; an IMU and commands lose nothing and wait 20 ms, longer only at a fall."""
     model = LinkModel(pushes_back=pushes_back)
     result = run(ENDS, RateSchedule.parse(rates), LASTS_S, seed=1, managed=True, model=model, topics=TOPICS)
     camera, imu, command = result.topics
@@ -43,8 +43,7 @@ def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back
     assert camera.delivered_bytes > 0.75 * carried
     assert (camera.doubled, camera.reordered) == (0, 0)
     assert imu.received + command.received > 0.99 * (imu.offered + command.offered)
-    # Of fourteen seeds at 20 Mbit/s 9 to 13 ms; once 21, when trains read high in the first seconds.
-    assert max(imu.latency_p99_s, command.latency_p99_s) < (0.05 if "," in rates else 0.025)
+    assert max(imu.latency_p99_s, command.latency_p99_s) < (0.05 if "," in rates else 0.02)
     assert imu.latency_max_s < 0.25
 
 
