@@ -27,6 +27,5 @@ def ip(host, *argv):
 
 def python(link, host, *argv, environment=(), **options):
     """Start this checkout's Python on a host; its output is text, and goes to where Popen's options say."""
-    # The environment first: env takes no option, as --unset, after a variable.
-    command = ["env", *environment, f"PYTHONPATH={REPO}", sys.executable, "-u", *argv]
-    return link.popen(host, command, env=dict(os.environ), text=True, **{"cwd": REPO, **options})
+    command = ["env", *environment, sys.executable, "-u", *argv]
+    return link.popen(host, command, env={**os.environ, "PYTHONPATH": str(REPO)}, text=True, **{"cwd": REPO, **options})

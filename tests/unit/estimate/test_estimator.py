@@ -135,7 +135,8 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert estimate.state is LinkState.DRAINING
     assert estimate.queue_delay_s == pytest.approx(0.28, abs=0.1)
     assert estimate.standing_delay_s > 0.1
-    assert estimate.events_by_kind["down"] >= 1
+    assert set(estimate.events_by_kind) == {"first", "down"}
+    assert link.ticks(5, trains=[FIRST]).events_by_kind["up"] >= 1
 
 
 def test_bytes_that_wait_here_are_a_queue_before_a_ping_shows_it():

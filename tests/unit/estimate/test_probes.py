@@ -118,3 +118,11 @@ def test_even_the_slowest_link_is_looked_at_now_and_then(mbit, copies):
     times = [at_s for at_s, request in sent if request.packets > 1]
     assert len(times) >= 60.0 // probes.TRAIN_MOST_S
     assert max(after - before for before, after in pairwise(times)) <= probes.TRAIN_MOST_S + 0.5
+
+
+def test_urgent_trains_spend_what_calm_ones_saved():
+    """After some calm, a doubt causes several trains within a few seconds."""
+    calm = Probing().known()
+    calm.run(30.0)
+    before = len(trains(calm.run(3.0)))
+    assert len(trains(calm.run(3.0, is_urgent=True))) >= before + 3
