@@ -51,6 +51,18 @@ def test_every_kind_of_evidence_counts_and_what_was_carried_lowers_nothing(kind,
         assert stated == about(part * C)
 
 
+@pytest.mark.parametrize(("part", "was_idle"), [(0.9, True), (0.6, False)])
+def test_pings_show_by_and_by_how_busy_a_link_is(part, was_idle):
+    """A link that carries nearly its capacity is hardly ever idle, and one that carries little is idle mostly."""
+
+    def pinged(times, weight=1.0):
+        return after(lambda belief: belief.ping(part * C, was_idle=was_idle, weight=weight), times)
+
+    seen = [0.99 * C, pinged(1), pinged(3), pinged(10)] if was_idle else [pinged(10), pinged(3), pinged(1), C]
+    assert seen == sorted(set(seen))
+    assert abs(pinged(5, weight=0.2) / C - 1.0) < abs(pinged(5) / C - 1.0)
+
+
 @pytest.mark.parametrize("part", [0.2, 0.5, 5.0])
 @pytest.mark.parametrize("kind", [BUSY, TRAIN])
 def test_one_outlier_is_not_believed_and_two_are(kind, part):
