@@ -126,3 +126,10 @@ def test_urgent_trains_spend_what_calm_ones_saved():
     calm.run(30.0)
     before = len(trains(calm.run(3.0)))
     assert len(trains(calm.run(3.0, is_urgent=True))) >= before + 3
+
+
+def test_a_link_that_nobody_uses_is_probed_rarely():
+    """While next to nothing crosses, a measured link costs a small part of its usual probes, but is still looked at."""
+    busy, idle = Probing().known(), Probing().known()
+    assert 0 < cost(idle.run(300.0, is_resting=True)) < 0.15 * cost(busy.run(300.0))
+    assert trains(idle.sent)
