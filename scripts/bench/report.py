@@ -138,7 +138,7 @@ class Summary:
 def _said(noted: dict[str, Any]) -> str:
     """Return conditions in a sentence."""
     load = "load not noted" if noted["load"] is None else f"load average {noted['load']:g} before"
-    of = f"{noted['of']}: " if "of" in noted else ""
+    of = f"`{noted['of']}`: " if "of" in noted else ""
     modified = ", modified" if noted["is_modified"] else ""
     void = f"; **void**: {noted['void']}" if noted.get("void") else ""
     return f"{of}{noted['date']}, commit {noted['commit'][:7]}{modified}, {noted['machine']}, {load}{void}."
@@ -214,6 +214,9 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
+_RIVALS = {"plain": "rclpy's defaults", "large_data": "Fast DDS' LARGE_DATA", "two_ends": "arpd"}
+
+
 def _rivals(robots: Summary, robot: str = "tb4") -> str:
     """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
     first = robots.tables[0]
@@ -232,9 +235,8 @@ def _rivals(robots: Summary, robot: str = "tb4") -> str:
             if row["side"] == side
         )
 
-    sides = {"rclpy's defaults": "plain", "Fast DDS' LARGE_DATA": "large_data", "**arpd**": "two_ends"}
     return _markdown(
-        ["", *heads], [[said, *(both(side, column) for column in heads.values())] for said, side in sides.items()]
+        ["", *heads], [[said, *(both(side, column) for column in heads.values())] for side, said in _RIVALS.items()]
     )
 
 
@@ -267,9 +269,9 @@ def curves(path: Path, table: Table) -> None:
     figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
     times, *columns = zip(*table.rows, strict=True)
     for name, values in zip(table.columns[1:], columns, strict=True):
-        axes.plot(times, values, label=name)
+        axes.plot(times, values, label=_RIVALS.get(name, name))
     axes.set(yscale="log", xlabel="s", ylabel=table.title)
     axes.grid(visible=True, color="0.9")
-    axes.legend(loc="upper left", frameon=False)
+    axes.legend(loc="center right", frameon=False)
     figure.savefig(path, dpi=90)
     plt.close(figure)
