@@ -44,6 +44,8 @@ CONFIG = "/etc/arpd/arpd.yaml"
 BREAK = "/etc/arpd/break"
 # Replaces the first line of _run: the version passes every check but does not run.
 BROKEN_RUN = f"""def _run(options: argparse.Namespace) -> int:
+    from pathlib import Path
+
     if Path("{BREAK}").exists():
         raise SystemExit("broken on purpose")
 """
@@ -97,8 +99,8 @@ class Packages:
         made = self.pi.booted.call("dpkg-deb", "-R", self.files["first"], "/srv/debs/second")
         assert made.returncode == 0, made.stderr
         folder = self.pi.path("/srv/debs/second")
-        (main,) = folder.glob("usr/lib/arpd/env/lib/python*/site-packages/arpd/cli/main.py")
-        substitute(main, BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
+        (processes,) = folder.glob("usr/lib/arpd/env/lib/python*/site-packages/arpd/cli/processes.py")
+        substitute(processes, BROKEN_RUN.splitlines()[0] + "\n", BROKEN_RUN)
         default = folder / CONFIG.lstrip("/")
         default.write_text(default.read_text() + "# A default of the second version.\n")
         substitute(folder / "DEBIAN/control", f"Version: {VERSIONS['first']}\n", f"Version: {VERSIONS['second']}\n")
