@@ -224,7 +224,7 @@ class LinkQueue(PacedQueue):
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
         message, offset = current.message, current.offset
         most = len(message) if is_first else self._chunk_bytes
-        part = message if offset == 0 and most >= len(message) else message[offset : offset + most]
+        part = message[offset : offset + most]
         number, wire_bytes, packets = self._send(lane, part, now_s, asks_every_s=HEARTBEAT_S)
         if offset == 0:
             current.number = number
