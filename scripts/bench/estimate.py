@@ -11,6 +11,7 @@ import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 from random import Random
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ from arpd.sim.result import percentile
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 from arpd.sim.trace import read_trace
-from scripts.bench.links import MBIT, WALK
+from scripts.bench.links import GOOD_S, MBIT, WALK, bursts
 from scripts.bench.report import Summary, figure, table
 
 if TYPE_CHECKING:
@@ -159,11 +160,10 @@ def _cellular(seed: int) -> RateSchedule:
 
 
 def _bursts(duration_s: float) -> tuple[LossStep, ...]:
-    """Lose everything for 0.3 s every 3 s, both in the mean (Gilbert 1960, Elliott 1963)."""
-    random, t_s, found = Random("bursts"), 0.0, []
-    while (t_s := t_s + random.expovariate(1.0 / 3.0)) < duration_s:
-        found += [LossStep(t_s, 1.0), LossStep(t_s := t_s + random.expovariate(1.0 / 0.3), 0.0)]
-    return tuple(found)
+    """Lose everything in bursts; the first one comes when it may."""
+    random = Random("bursts")
+    begun = takewhile(lambda burst: burst[0] < duration_s, bursts(random, random.expovariate(1.0 / GOOD_S)))
+    return tuple(step for begin_s, end_s in begun for step in (LossStep(begin_s, 1.0), LossStep(end_s, 0.0)))
 
 
 def _fall(before: float, after: float, **more: Any) -> Scenario:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import random
 from bisect import bisect_right
+from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from arpd.sim.trace import read_trace
 from scripts.netns.simlink import STALLED
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 MBIT = 125_000.0  # bytes/s
 WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
 DURATION_S, CALM_S, STALL_S = 28.0, 5.0, 50.0
 _OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
-_GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
+GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
 SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
 #: Both directions from each time on: begin (s), rate (bytes/s), loss (0..1); the first begins at 0.
 Course = list[tuple[float, float, float]]
@@ -64,11 +69,18 @@ def hard_links() -> dict[str, tuple[str, Course]]:
     }
 
 
+def bursts(rng: random.Random, begin_s: float) -> Iterator[tuple[float, float]]:
+    """Yield begin and end of bursts of 0.3 s in the mean, 3 s apart in the mean, without end (s)."""
+    while True:
+        end_s = begin_s + rng.expovariate(1.0 / _BAD_S)
+        yield begin_s, end_s
+        begin_s = end_s + rng.expovariate(1.0 / GOOD_S)
+
+
 def _bursts(seed: int) -> Course:
     """Return random bursts of loss; the last ends before the run does, so that samples under way can arrive."""
     rng, fast = random.Random(seed), 20 * MBIT
-    course, now_s = [(0.0, fast, 0.0)], CALM_S
-    while (end_s := now_s + rng.expovariate(1.0 / _BAD_S)) < DURATION_S - 1.0:
-        course += [(now_s, fast, rng.choice((0.5, 1.0))), (end_s, fast, 0.0)]
-        now_s = end_s + rng.expovariate(1.0 / _GOOD_S)
+    course = [(0.0, fast, 0.0)]
+    for begin_s, end_s in takewhile(lambda burst: burst[1] < DURATION_S - 1.0, bursts(rng, CALM_S)):
+        course += [(begin_s, fast, rng.choice((0.5, 1.0))), (end_s, fast, 0.0)]
     return course
