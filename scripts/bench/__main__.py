@@ -38,6 +38,8 @@ SCENARIOS = {
     "solve": ("solve.play", 1, 0.5, "how fast is a plan?"),
     "fuzz": ("fuzz.play", 12, 1, "does foreign input crash a reader?"),
 }
+#: Scenarios of which each part is kept, and how many cells of a row name it.
+PARTS = {"robots": 4}
 
 
 def is_known(name: str) -> bool:
@@ -59,9 +61,9 @@ def is_valid(name: str, *, is_quick: bool, only: str, is_part: bool, out: Path |
     summary.conditions.append(noted | ({"of": only} if only else {}))
     print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
     path = (out or RESULTS) / f"{name}.json"
-    if only and path.exists():
-        summary = Summary.read(path).with_part(summary, names=4)
     if out or not (is_part or noted.get("void")):
+        if only and name in PARTS and path.exists():
+            summary = Summary.read(path).with_part(summary, names=PARTS[name])
         summary.write(path)
     return is_quick or not noted.get("void")
 
@@ -94,7 +96,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
     parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
     options = parser.parse_args()
-    is_part = bool(options.quick or options.tree or (options.only and options.names != ["robots"]))
+    is_part = bool(options.quick or options.tree or (options.only and not PARTS.keys() >= {*options.names}))
     if options.tree:
         os.environ[TREE] = str(options.tree.resolve())
     names = list(SCENARIOS) if options.names == ["all"] else options.names

@@ -58,7 +58,7 @@ class Account:
         self.swaps = sum(each["swaps"] for each in found.values())
         self.from_s, self.until_s = from_s, until_s
         self._latencies_ms: dict[str, list[float]] = {}
-        self._ages_s: dict[str, list[float]] = {}
+        self.ages_s: dict[str, list[float]] = {}  # of the newest sample at the reader, each `AGE_S`
         self.topics = {name: self._topic(name) for name, topic in self._topics.items() if not topic.answers}
 
     def _topic(self, name: str) -> dict[str, Any]:
@@ -69,7 +69,7 @@ class Account:
         parts = [self._source(number, by_source[number]) for number in self._sources[name]]
         latencies = [latency for part in parts for latency in part.pop("latencies_ms")]
         self._latencies_ms[name] = latencies
-        self._ages_s[name] = [age for part in parts for age in part.pop("ages_s")]
+        self.ages_s[name] = [age for part in parts for age in part.pop("ages_s")]
         offered = round(sum(topic.rate_hz for topic in self._sources[name].values()) * seconds)
         arrived = sum(part.pop("arrived") for part in parts)
         first = self._topics[name]
@@ -84,8 +84,8 @@ class Account:
             "p99_ms": percentile(latencies, 0.99),
             "max_ms": max(latencies, default=None),
             "late": sum(latency > LATE_MS for latency in latencies),
-            "age_p50_s": percentile(self._ages_s[name], 0.5),
-            "age_p99_s": percentile(self._ages_s[name], 0.99),
+            "age_p50_s": percentile(self.ages_s[name], 0.5),
+            "age_p99_s": percentile(self.ages_s[name], 0.99),
             "gap_s": max(part["gap_s"] for part in parts),
         }
 
@@ -124,10 +124,6 @@ class Account:
         known = np.searchsorted([row[3] * _S for row in ordered], looks_s) - 1
         ages: list[float] = (looks_s - np.where(known >= 0, newest_s[known], self.from_s)).tolist()
         return ages
-
-    def ages_s(self, name: str) -> list[float]:
-        """Return the age of the newest sample of a topic at the reader, each ``AGE_S`` (s)."""
-        return self._ages_s[name]
 
     def groups(self) -> dict[str, Any]:
         """Return the figures of each class of topics."""
@@ -168,7 +164,7 @@ class Account:
         delivered_bytes = sum(each["delivered"] * each["bytes"] for each in self.topics.values())
         return {
             **{f"p{q}_ms": _weighted(self._latencies_ms, due, q / 100) for q in (50, 99)},
-            **{f"age_p{q}_s": _weighted(self._ages_s, {}, q / 100) for q in (50, 99)},
+            **{f"age_p{q}_s": _weighted(self.ages_s, {}, q / 100) for q in (50, 99)},
             "lost_percent": 100.0 * sum(lost.values()) / max(1, sent),
             "withheld_percent": 100.0 * sum(self.withheld.values()) / max(1, sent),
             "late_commands_percent": 100.0 * late / max(1, sum(each["published"] for each in commands)),

@@ -195,7 +195,7 @@ def play(*, is_quick: bool, only: str = "") -> Summary:
             continue
         rows.append(row)
         if (robot, link, bottleneck) == _SHOWN:
-            every_s = account.ages_s(_SHOWN_TOPIC)
+            every_s = account.ages_s[_SHOWN_TOPIC]
             ages_s[side] = [max(every_s[k : k + _EVERY]) for k in range(0, len(every_s), _EVERY)]
     lines = [
         {"s": AGE_S * _EVERY * k, **dict(zip(ages_s, each, strict=True))}
