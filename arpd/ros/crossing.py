@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import Direction
 from arpd.model.names import is_internal
-from arpd.ros.names import PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
-from arpd.ros.plan_message import LEAST_DEADLINE_NS
+from arpd.ros.names import LEAST_DEADLINE_NS, PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping

@@ -1,4 +1,4 @@
-"""Names of arpd's topics (docs/design.md, Protocols)."""
+"""Names of arpd's topics, and bounds that several of its messages share (docs/design.md, Protocols)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 
 INFINITE_NS = 2**63 - 1  # ROS 2's "no deadline"
+# No topic that crosses a link is faster than 100 kHz. The timer of a deadline much shorter than the source's period
+# takes a tenth of a core (measured from 1 ms down, Fast DDS).
+LEAST_DEADLINE_NS = 10_000
+MOST_LEASE_S = 1e9
 
 _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _MOST_NAME = 256  # characters; ROS itself ends at 255

@@ -10,7 +10,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from arpd.model.plan import MOST_GENERATION, TopicPlan
 from arpd.ros.documents import pack, unpack
-from arpd.ros.names import INFINITE_NS
+from arpd.ros.names import INFINITE_NS, LEAST_DEADLINE_NS, MOST_LEASE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,10 +22,6 @@ MOST_BYTES = 1 << 20  # of its text; a thousand topics take a tenth of it
 PLAN_QOS = QoSProfile(
     depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
 )
-MOST_LEASE_S = 1e9
-# No topic that crosses a link is faster than 100 kHz. The timer of a deadline much shorter than the source's period
-# takes a tenth of a core (measured from 1 ms down, Fast DDS).
-LEAST_DEADLINE_NS = 10_000
 MOST_DEPTH = 5000
 #: Least and most of each number of a plan; beside depth each may be 0.
 BOUNDS: dict[str, tuple[float, float]] = {

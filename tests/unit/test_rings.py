@@ -1,6 +1,8 @@
 """The three rings of arpd/README.md: imports point inwards and, inside the pure ring, only to earlier stages."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -88,6 +90,12 @@ def test_one_list_says_where_ros_is(path):
     names = [alias.name for node in body if isinstance(node, ast.Import) for alias in node.names]
     names += [node.module or "" for node in body if isinstance(node, ast.ImportFrom)]
     assert not [name for name in names if name.partition(".")[0] == "rclpy"]
+
+
+def test_the_simulator_runs_without_ros():
+    """`arpd simulate` imports no module of ROS, by way of others either."""
+    script = "import sys; sys.modules['rclpy'] = None; import arpd.cli.simulate, arpd.daemon.scenario"
+    subprocess.run([sys.executable, "-c", script], cwd=PACKAGE.parent, check=True)
 
 
 @pytest.mark.parametrize("path", IN_ORDER, ids=ids)

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import MOST_GENERATION, TopicPlan
 from arpd.ros.documents import pack, unpack
-from arpd.ros.names import INFINITE_NS
+from arpd.ros.names import INFINITE_NS, LEAST_DEADLINE_NS
 from arpd.ros.plan_message import (
-    LEAST_DEADLINE_NS,
     MOST_DEPTH,
     checked_row,
     decode_plan,
