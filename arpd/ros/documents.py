@@ -1,4 +1,4 @@
-"""JSON documents as messages, compressed where that is shorter; and strict readers of their values. Pure."""
+"""JSON documents as messages, compressed where that is shorter. Pure."""
 
 from __future__ import annotations
 
@@ -54,19 +54,6 @@ def unpack(data: bytes, *, most_bytes: int) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise ValueError("no object of JSON")  # noqa: TRY004 - a message may hold anything, so it is no type error
     return document
-
-
-def integer(name: str, value: Any, *, least: int = 0, most: int = MOST_INTEGER) -> int:
-    """Return an integer within bounds.
-
-    Raises
-    ------
-    ValueError
-        If it is none; the message names it.
-    """
-    if type(value) is not int or not least <= value <= most:
-        raise ValueError(f"{name} = {str(value)[:40]!r} is no integer from {least} to {most}")
-    return value
 
 
 def _refuse_constant(name: str) -> Any:

@@ -77,10 +77,11 @@ def shown_words(text: str) -> str:
 
 def _columns_of(states: Sequence[PublisherState]) -> dict[str, list[Any]]:
     columns = {}
-    for name, usual in _usual(PublisherState).items():
+    for name, usual in TOLD.items():
         values = [getattr(state, name) for state in states]
-        if name not in JOINED and values.count(usual) < len(values):
-            columns[name] = [_value(value, MOST.get(name, MOST_SECONDS)) for value in values]
+        if values.count(usual) < len(values):
+            most = MOST.get(name, MOST_SECONDS)
+            columns[name] = [_value(value, most) for value in values]
     return columns
 
 
@@ -114,6 +115,8 @@ def _value(value: Any, most: float = MOST_SECONDS) -> Any:
     return None if value is None else _shown(value)
 
 
+#: Fields that a snapshot has of a publisher, and their usual values.
+TOLD = {name: usual for name, usual in _usual(PublisherState).items() if name not in JOINED}
 #: Names that a snapshot has, the most likely ones last.
-_NAMES = ("relay", *SwapState, *SwapResult, *WithheldCause, *_usual(PublisherState))
+_NAMES = ("relay", *SwapState, *SwapResult, *WithheldCause, *TOLD)
 LIKELY = "".join(f'"{name}":[' for name in _NAMES).encode()

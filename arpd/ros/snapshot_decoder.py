@@ -21,18 +21,17 @@ from arpd.model.endpoints import (
 from arpd.model.plan import MOST_GENERATION, NO_PLAN, PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.ros.documents import MOST_INTEGER, expand
-from arpd.ros.names import is_full_name
+from arpd.ros.names import MOST_LEASE_S, is_full_name
 from arpd.ros.node_snapshot import (
-    JOINED,
     LIKELY,
     MOST,
     MOST_BYTES,
     MOST_NAMED,
     MOST_OF_NODE,
     MOST_SECONDS,
+    TOLD,
     shown_words,
 )
-from arpd.ros.plan_message import MOST_LEASE_S
 
 if TYPE_CHECKING:
     from enum import StrEnum
@@ -117,7 +116,7 @@ KINDS["SwapRecord | None"] = _record(SwapRecord) | None
 _COLUMNS: dict[str, Any] = {
     each.name: (Rates if each.name in {"rate_hz", "paced_rate_hz"} else Column[_kind(each)], [])  # type: ignore[misc]
     for each in fields(PublisherState)
-    if each.name not in JOINED
+    if each.name in TOLD
 }
 _NEEDED = {"topic", "type_name", "payload_bytes", "source_rate_hz", "depth", "baseline_depth"}
 _SNAPSHOT: Any = create_model(
