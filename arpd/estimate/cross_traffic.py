@@ -83,7 +83,7 @@ class CrossTraffic:
 
     def probe_bytes(self, since_s: float) -> float:
         """Return the bytes of our own that no topic sent since then (bytes)."""
-        return float(self._extra.newest - self._extra.each_at(np.array([since_s]))[0])
+        return self._extra.since(since_s)
 
     def note_outage(self, start_s: float, end_s: float) -> None:
         """Note that nothing arrived in a span of time: writers send its samples again now."""
@@ -198,9 +198,9 @@ class _Curve:
     def newest_s(self) -> float:
         return self._times[-1]
 
-    @property
-    def newest(self) -> float:
-        return self._sums[-1]
+    def since(self, at_s: float) -> float:
+        """Return what came after a moment, of a curve that only jumps."""
+        return self._sums[-1] - self._sums[max(0, bisect_right(self._times, at_s) - 1)]
 
     def grow(self, at_s: float, amount: float) -> None:
         """Add an amount that came since the last moment; an earlier moment counts as that one."""

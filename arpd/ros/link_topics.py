@@ -58,6 +58,7 @@ class LinkGraph:
 
     def __init__(self, view: GraphView, rmw: Rmw) -> None:
         self._view, self._rmw = view, rmw
+        self._is_confined = is_confined()
         self._relays: frozenset[bytes] = frozenset()  # processes on this host; their ghosts stand for nodes beyond
         self._topics: dict[str, FoundTopic] = {}
         self._changes = -1  # of the graph, when it was read last
@@ -131,7 +132,7 @@ class LinkGraph:
         return tuple(each for each in endpoints if each.participant != own and each.node not in _OWN_NODES)
 
     def _is_here(self, endpoint: Endpoint) -> bool:
-        return is_confined() or (self._rmw.tells_hosts and endpoint.host == self._view.own.host)
+        return self._is_confined or (self._rmw.tells_hosts and endpoint.host == self._view.own.host)
 
     def _is_relayed(self, endpoint: Endpoint) -> bool:
         return endpoint.participant in self._relays

@@ -84,12 +84,10 @@ def read(kind: Callable[..., _T], document: object) -> _T:
     return found
 
 
+@cache
 def schema_of(kind: Any, name: str) -> bytes:
     """Return the JSON Schema (draft 2020-12) of a document."""
     schema = _adapter(kind).json_schema(mode="serialization")
-    for part, keys in _HIDDEN.items():
-        for key in keys & schema["$defs"].get(part, {"properties": {}})["properties"].keys():
-            del schema["$defs"][part]["properties"][key]
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{name}-v1.json"}
     return f"{json.dumps(head | _tidied(schema) | {'title': f'arpd {name}'}, indent=1)}\n".encode()
 
@@ -112,13 +110,15 @@ def _with_infinities(part: Any) -> Any:
 
 
 def _tidied(part: Any, name: str = "") -> Any:
-    """Leave out titles; every key is there, and some numbers may be null."""
+    """Leave out titles and what a document does not show; every other key is there, and some numbers may be null."""
     if isinstance(part, list):
         return [_tidied(each) for each in part]
     if not isinstance(part, dict):
         return part
     tidy = {key: _tidied(value, key) for key, value in part.items() if not (key == "title" and isinstance(value, str))}
     if "properties" in tidy:
+        hidden = _HIDDEN.get(name, set())
+        tidy["properties"] = {key: value for key, value in tidy["properties"].items() if key not in hidden}
         tidy["required"] = sorted(tidy["properties"])
     if name in _MAY_BE_INFINITE and tidy.get("type") == "number":
         tidy["type"] = ["number", "null"]

@@ -114,8 +114,9 @@ class LinkTopic:
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
-        self.plan = plan
-        self._thread.retune(self._lane, plan, self._price)
+        if plan != self.plan:
+            self.plan = plan
+            self._thread.retune(self._lane, plan, self._price)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""

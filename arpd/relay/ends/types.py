@@ -49,6 +49,7 @@ def service_class(type_name: str) -> Any:
     return _import(type_name, folder="srv", of_actions=_ACTION_SERVICES)
 
 
+@cache
 def definition_hash(kind: Any) -> str:
     """Return the hash of the definition of a message class that is loaded (REP 2016), as "RIHS01_..."."""
     pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
