@@ -63,7 +63,7 @@ def _check(options: argparse.Namespace) -> int:
             raise
         print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
         return error.exit_code
-    host_bytes = 0 if options.no_interfaces else MemoryReader().read().total_bytes
+    host_bytes = 0 if options.far or options.no_interfaces else MemoryReader().read().total_bytes
     warned = [] if options.far else [f"{options.file}: {warning}" for warning in _warnings(settings, host_bytes)]
     if options.json:
         document = {"ok": True, "file": str(options.file), "warnings": warned, "settings": flatten(settings)}

@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of
+from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of, no_address
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
 from arpd.web.api import History, Status
@@ -71,7 +71,7 @@ class Daemon:
                 self._open = partial(HTTPSConnection, host, port or 443, timeout=_DEADLINE_S, context=_tls(cacert))
             self._connection = self._open()
         except (ValueError, InvalidURL) as error:
-            raise _no_address(url, error) from None
+            raise no_address(url, error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -119,7 +119,7 @@ class Daemon:
         except OSError as error:  # before ValueError: a certificate that is not trusted is both
             raise _no_answer(url, error) from None
         except (ValueError, InvalidURL) as error:
-            raise _no_address(url, error) from None
+            raise no_address(url, error) from None
         except HTTPException as error:
             raise _no_answer(url, error) from None
         code = answer.status
@@ -270,10 +270,6 @@ def _shown(part: Any) -> Any:
     if isinstance(part, list):
         return [_shown(value) for value in part]
     return None if isinstance(part, (int, float)) and not -_LARGEST < part < _LARGEST else part
-
-
-def _no_address(url: str, error: Exception) -> UsageError:
-    return UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}")
 
 
 def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:

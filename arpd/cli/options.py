@@ -45,6 +45,12 @@ def add_config(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
     parser.set_defaults(default_config=DEFAULT_CONFIG)
 
 
+def config_of(options: argparse.Namespace) -> Path | None:
+    """Return the file of ``--config``, otherwise the installed one; None where that is missing."""
+    installed: Path = options.default_config
+    return options.config or (installed if installed.exists() else None)
+
+
 def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None:
     """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help=about)
@@ -73,7 +79,12 @@ def host_of(url: str) -> str:
     try:
         return urlsplit(url).hostname or ""
     except ValueError as error:
-        raise UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}") from None
+        raise no_address(url, error) from None
+
+
+def no_address(url: str, error: Exception) -> UsageError:
+    """Return the error that says why a URL is none."""
+    return UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}")
 
 
 def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) -> bool:

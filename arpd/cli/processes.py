@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.options import Command, add_config
+from arpd.cli.options import Command, add_config, config_of
 
 if TYPE_CHECKING:
     import argparse
@@ -84,7 +84,7 @@ def _add_peer(parser: argparse.ArgumentParser) -> None:
 def _peer(options: argparse.Namespace) -> int:
     from arpd.ros.peer import run_peer
 
-    config = options.config or (options.default_config if options.default_config.exists() else None)
+    config = config_of(options)
     return run_peer(interface=options.interface, name=options.name, config_path=config, log_level=options.log_level)
 
 

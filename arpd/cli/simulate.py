@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd.cli.comparison import Asked, comparison_document, show_comparison
-from arpd.cli.options import Command, add_config, add_json, within
+from arpd.cli.options import Command, add_config, add_json, config_of, within
 from arpd.cli.progress import progress
 from arpd.daemon.compare import compare
 from arpd.host.config.load import load_settings
@@ -132,9 +132,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
     """Return the configuration's file, its settings, and the topics of which it says what they publish."""
-    config: Path | None = options.config
-    if config is None and options.default_config.exists():
-        config = options.default_config
+    config = config_of(options)
     if config is None:
         if options.actuation:
             raise UsageError("--actuation is for the topics of a configuration; name it with --config")

@@ -102,7 +102,7 @@ class Daemon:
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._planned = Planned()
-        self._planned_s, self._took_s = -math.inf, 0.0  # the same of the last that planned, and how long it took
+        self._planned_s, self._took_s = -math.inf, 0.0  # when the last tick that planned began, and how long it took
         self._facts: tuple[object, ...] = ()  # that it rests on
 
     @property

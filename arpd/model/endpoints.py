@@ -71,7 +71,7 @@ class WithheldCause(StrEnum):
 
 
 class SwapState(StrEnum):
-    """State of a writer swap; `arpd.endpoint.writer_swap` has the transitions."""
+    """State of a writer swap; docs/design.md has the transitions."""
 
     IDLE = "idle"
     MATCHING = "matching"

@@ -42,8 +42,7 @@ class Distribution:
     @property
     def up_to(self) -> tuple[tuple[float, int], ...]:
         """Each bound with the number of durations up to it (s); the last bound is infinite and counts them all."""
-        counts = self.counts or (0,) * (len(self.bounds) + 1)
-        return tuple(zip((*self.bounds, float("inf")), accumulate(counts), strict=True))
+        return tuple(zip((*self.bounds, float("inf")), accumulate(self.including(()).counts), strict=True))
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,7 @@ class History:
                 at_s=now_s,
                 unix_time_s=snapshot.unix_time_s,
                 state=snapshot.link.state,
-                link=tuple(shortened(read(snapshot)) for read in LINK_SERIES.values()),
+                link=tuple(read(snapshot) for read in LINK_SERIES.values()),
                 slots=self._slots,
                 rates_hz=values,
                 omitted=len(publishers) - len(self._slots),

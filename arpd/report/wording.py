@@ -23,10 +23,8 @@ def confirmed(*, confirmed: int, publishers: int, paced_only: int = 0) -> str:
     return f"{confirmed} of {publishers} publishers{paced} confirmed"
 
 
-def lease(after_s: float | None) -> str:
-    """Say what becomes of the plan when the daemon falls silent (s); None = it stays."""
-    if after_s is None:
-        return "plan and price stay when this daemon falls silent"
+def lease(after_s: float) -> str:
+    """Say what becomes of the plan when the daemon falls silent for so long (s)."""
     return f"after {after_s:g} s without this daemon, publishers return to their own QoS"
 
 

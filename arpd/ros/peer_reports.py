@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from arpd.model.probing import ClockOffset, PeerReport
 
 _MOST_PEERS = 32
-_SILENT_S, _FORGOTTEN_S = 10.0, 60.0  # then another peer may take its place; a scrape or two must see its age grow
+_SILENT_S, FORGOTTEN_S = 10.0, 60.0  # then another peer may take its place; a scrape or two must see its age grow
 _NUMBERS = 2**32  # of probe numbers, on the wire
 _LATELY = 1000  # probes: 100 s and more
 _MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
@@ -109,6 +109,6 @@ class PeerReports:
         with self._lock:
             reports = tuple(self._waiting)
             self._waiting.clear()
-            self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= _FORGOTTEN_S}
+            self._heard_s = {peer: at_s for peer, at_s in self._heard_s.items() if now_s - at_s <= FORGOTTEN_S}
             ages_s = {peer: max(0.0, now_s - at_s) for peer, at_s in sorted(self._heard_s.items())}
             return reports, ages_s, self._clocks.offsets(now_s)

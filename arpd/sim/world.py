@@ -16,6 +16,7 @@ from arpd.model.probing import PeerReport
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.nodes import SILENT_S
+from arpd.ros.peer_reports import FORGOTTEN_S
 from arpd.sim.link import FRAME_BYTES
 from arpd.sim.timeline import Alarm
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     Managed = SimulatedPublisher | SimulatedLinkTopic
 
 RELAY, PLANNER = "/arpd_relay", "/planner"
-_PEER, _HEARD_S = "base", 60.0
+_PEER = "base"
 _ON_HOST_S = 0.001
 _TELL_S = 1.0
 _SILENT_S = 5.0  # as in arpd.endpoint.node_publishers
@@ -159,7 +160,7 @@ class SimulatedWorld:
                 self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
             ),
             peers=None if self._has_peer else 0,
-            peer_ages_s={_PEER: now_s - self._reported_s} if now_s - self._reported_s < _HEARD_S else {},
+            peer_ages_s={_PEER: now_s - self._reported_s} if now_s - self._reported_s <= FORGOTTEN_S else {},
             relay=self._relay,
         )
 

@@ -37,7 +37,7 @@ class Program:
     it must, so no rate rises while the capacity falls:
 
     1. δ: where τ_i·u_i − δ_i is below Dmin_i, the depth is Dmin_i. Every slow topic on a fast link meets this and loses
-       nothing: ``depth_binding`` is FLOOR, and the answer is not degraded.
+       nothing: ``depth_binding`` is MINIMUM, and the answer is not degraded.
     2. The floors ℓ_i, class by class in ascending weight, down to 0 (paused); for memory, Dmin_i down to 1.
 
     Parameters

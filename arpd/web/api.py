@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.allocation import Allocation, TopicAllocation, Uniform
-from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapRecord
+from arpd.model.allocation import Allocation, TopicAllocation
+from arpd.model.endpoints import PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters, state_of
 from arpd.model.link import LinkEstimate
 from arpd.model.observation import MemoryState
@@ -17,7 +17,6 @@ from arpd.model.price import Price
 from arpd.model.probing import ClockOffset
 from arpd.model.relay import RelaySummary
 from arpd.report.conditions import Condition, Happening, Severity
-from arpd.report.durations import Durations
 from arpd.report.events import Event
 from arpd.report.history import LINK_SERIES, MOST_TOPICS, NO_RATES, PERIOD_S, RATE_SERIES, SPAN_S
 from arpd.report.situation import judge
@@ -34,8 +33,8 @@ if TYPE_CHECKING:
     from arpd.report.topic_rows import TopicRow
 
 API_VERSION = "v1"
-# The dataclasses of model/ name these for type checkers only; who reads a document finds them here.
-NESTED = (Direction, Durations, Happening, RefusalReason, SwapRecord, Uniform)
+# `Event` names it for type checkers only; who reads a document finds it here.
+NESTED = (Happening,)
 _MOST_EVENTS = 50
 
 

@@ -114,11 +114,7 @@ def _nearest(location: Location) -> str:
 def _spoilt(location: Location) -> Location:
     """Return what a fault makes useless: a value, or the whole item of a list whose name or topics are at fault."""
     for length, step in enumerate(location):
-        if step in {"name", "topics"} and _path(location[:length]) in {
-            ("topics",),
-            ("relay", "topics"),
-            ("relay", "groups"),
-        }:
+        if step in {"name", "topics"} and _path(location[:length]) in _LISTS:
             return location[:length]
     return location
 

@@ -331,7 +331,7 @@ class End:
         status = status_line(
             relay,
             is_far=self._is_far,
-            is_met=self._partner.state is not None,
+            is_met=self._there is not NOBODY,
             is_shared=self._is_shared,
             second_ends=self._partner.others(now_s),
         )
@@ -345,7 +345,7 @@ class End:
                 told.hurry()
 
     def _summary(self, now_s: float) -> RelaySummary:
-        here, there = replace(self._told, refused=self._refused), self._partner.state or NOBODY
+        here, there = replace(self._told, refused=self._refused), self._there
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,

@@ -233,12 +233,8 @@ class GhostWriter:
             create=partial(self._node.create_publisher, self._msg_type, self._topic, profile),
             event_callbacks=None,
             requests=self._requests,
-            in_force=self._in_force,
+            in_force=lambda: self._swap.current,
         )
-
-    def _in_force(self) -> RosWriter | None:
-        swap = getattr(self, "_swap", None)  # inside its constructor there is only the first writer
-        return None if swap is None else swap.current
 
     def _on_result(self, result: SwapResult, qos: WriterQos) -> None:
         if result not in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
