@@ -15,7 +15,7 @@ from arpd.model.errors import ConfigError
 from arpd.model.quantities import format_rate
 from arpd.model.settings import Backend, Settings
 from arpd.solve.topics import Traffic, rows_of_traffic
-from arpd.web.web_config import check_web_config
+from arpd.web.web_config import load_protection
 
 if TYPE_CHECKING:
     import argparse
@@ -57,7 +57,7 @@ def _check(options: argparse.Namespace) -> int:
     try:
         settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
         if not options.far:
-            check_web_config(settings.http, directory=options.file.parent)
+            load_protection(settings.http, directory=options.file.parent)
     except ConfigError as error:
         if not options.json:
             raise

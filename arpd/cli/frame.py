@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
     from arpd.model.relay import RelaySummary
-    from arpd.web.api import History, Status, Topic
+    from arpd.report.topic_rows import Topic
+    from arpd.web.api import History, Status
 
     Show = Callable[[float], str]
     Worst = Callable[[Iterable[float]], float]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from typing import TYPE_CHECKING
 
 from arpd.host.config.keys import changes, needs_restart
@@ -34,7 +33,6 @@ class Configuration:
     error : first fault of the last reload, empty when it succeeded
     loaded_at_s : Unix time at which the settings in force were read (s)
     awaiting_restart : keys whose new value takes effect after a restart
-    reloads_by_result, changed_keys_by_effect : counts since start
     """
 
     def __init__(self, settings: Settings, *, path: str, wall_clock: Callable[[], float]) -> None:
@@ -43,14 +41,11 @@ class Configuration:
         self.error = ""
         self.loaded_at_s = wall_clock()
         self.awaiting_restart: tuple[str, ...] = ()
-        self.reloads_by_result: Counter[str] = Counter()
-        self.changed_keys_by_effect: Counter[str] = Counter()
         self._wall_clock = wall_clock
 
     def note_failed_reload(self, why: str) -> None:
-        """Count a refused reload; the status shows ``why`` until one succeeds."""
+        """Note a refused reload; the status shows ``why`` until one succeeds."""
         self.error = why
-        self.reloads_by_result["failed"] += 1
 
     def reload(self, load: Callable[[], Settings], *, take: Callable[[Settings], None]) -> bool:
         """Take a new configuration whole, or keep the old one whole.
@@ -79,16 +74,11 @@ class Configuration:
         if fresh != before:
             take(fresh)
         self.settings = fresh
-        in_effect = changes(before, fresh)
-        for key, change in in_effect.items():
+        for key, change in changes(before, fresh).items():
             log.info("reloaded: %s: %s", key, change)
         for key, change in changes(fresh, wanted).items():
             log.warning("%s: %s; takes effect after a restart", key, change)
-        awaiting = [key for key in changes(before, wanted) if needs_restart(key)]
-        newly_awaiting = {*awaiting} - {*self.awaiting_restart}
-        self.changed_keys_by_effect.update(in_force=len(in_effect), awaiting_restart=len(newly_awaiting))
-        self.awaiting_restart = tuple(awaiting)
+        self.awaiting_restart = tuple(key for key in changes(before, wanted) if needs_restart(key))
         self.error = ""
         self.loaded_at_s = self._wall_clock()
-        self.reloads_by_result["ok"] += 1
         return True

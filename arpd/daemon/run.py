@@ -78,6 +78,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             snapshot=lambda: daemon.snapshot,
             directory=config_path.parent,
             history=daemon.history,
+            durations=daemon.record.durations,
             resting=resting,
         )
         supervisor = Supervisor(

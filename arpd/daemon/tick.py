@@ -257,9 +257,7 @@ class Daemon:
 
     def _count(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:
         """Count what a tick that planned has done; after one that raised, the next plans again."""
-        self.record.count(
-            world=self._world, program=self._program, governor=self._governor, configuration=self.configuration
-        )
+        self.record.count(world=self._world, program=self._program, governor=self._governor)
         self._planned_s, self._took_s, self._facts = now_s, self._clock() - now_s, self._news(seen, link)
 
     def reload(self, load: Callable[[], Settings]) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from arpd.model.relay import RelaySummary
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import TopicRow
+    from arpd.report.topic_rows import Topic
 
 SLOWED_BELOW = 0.95  # of what the source publishes; a rate within a twentieth of it slows nobody
 _DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
@@ -82,7 +82,7 @@ class Situation:
         return (*self.conditions, *self.faults)
 
 
-def judge(snapshot: Snapshot, *, rows: Sequence[TopicRow] | None = None, now_s: float | None = None) -> Situation:
+def judge(snapshot: Snapshot, *, rows: Sequence[Topic] | None = None, now_s: float | None = None) -> Situation:
     """Judge a snapshot.
 
     Parameters
@@ -245,11 +245,11 @@ def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Itera
     yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
 
 
-def slowed_topics(rows: Iterable[TopicRow]) -> tuple[Slowed, ...]:
+def slowed_topics(rows: Iterable[Topic]) -> tuple[Slowed, ...]:
     """Return the topics that the link keeps below their sources' rates now, the most slowed first."""
     return tuple(
         sorted(
-            Slowed(kept, row.publisher.topic, row.allocation.rate_hz, row.publisher.source_rate_hz)
+            Slowed(kept, row.topic, row.allocation.rate_hz, row.confirmed.source_rate_hz)
             for row in rows
             if row.allocation is not None and (kept := row.kept_ratio) < SLOWED_BELOW
         )

@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.model.settings import Settings
-from arpd.report.durations import Durations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,33 +26,25 @@ class Totals:
     ----------
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
     solves_by_outcome : (backend, outcome) → count; outcome as in `arpd.solve.backends.Solver`
-    cross_check_disagreements : answers of the back end that missed the budget
     plans_by_cause : plans made, by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
     refusals_by_reason : plan changes wanted but refused (``dwell``, ``budget``)
     applies_by_result : answers of nodes to plans, by result (``ok``, ``refused``, ``timeout``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
     reports : peer reports received
-    reloads_by_result : configuration reloads (``ok``, ``failed``)
-    changed_keys_by_effect : keys that reloads changed (``in_force``, ``awaiting_restart``)
     events_by_kind : lines of the decision log, by their kind
-    durations : of ticks and solves
     """
 
     ticks: int = 0
     ticks_failed: int = 0
     ticks_late: int = 0
     solves_by_outcome: Mapping[tuple[str, str], int] = field(default_factory=lambda: MappingProxyType({}))
-    cross_check_disagreements: int = 0
     plans_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     refusals_by_reason: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     applies_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     probes: int = 0
     probe_bytes: int = 0
     reports: int = 0
-    reloads_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    changed_keys_by_effect: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    durations: Durations = field(default_factory=Durations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -17,40 +17,49 @@ _OF_THE_LINK = {Binding.LINK, Binding.MINIMUM}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TopicRow:
-    """One live publisher, with its row of the plan and of the program where it has one.
+class Topic:
+    """One publisher that has announced itself; topic and node identify it.
 
     Parameters
     ----------
-    publisher : its last announcement
-    planned : its row of the plan in force
-    allocation : the program's answer in this tick
+    planned : its row of the plan in force; null if no plan has the topic
+    confirmed : what it announces: its counters, and the settings in force
+    allocation : what the last tick gives it; null if the program does not have the topic
+    kept_ratio : part of the source's rate that the link leaves it now, 0 to 1; 1 where the link does not slow it
+    keeps_qos : True if it refuses new QoS for good, so that arpd manages only the rate
     age_s : time since the announcement (s)
     """
 
-    publisher: PublisherState
+    topic: str
+    node: str
     planned: TopicPlan | None
+    confirmed: PublisherState
     allocation: TopicAllocation | None
+    kept_ratio: float
+    keeps_qos: bool
     age_s: float
 
-    @property
-    def kept_ratio(self) -> float:
-        """The part of its source's rate that the link leaves the topic now; 1 where the link does not slow it."""
-        source_hz, allocation = self.publisher.source_rate_hz, self.allocation
-        if self.planned is None or allocation is None or source_hz <= 0 or allocation.binding not in _OF_THE_LINK:
-            return 1.0
-        return min(1.0, allocation.rate_hz / source_hz)
 
-
-def topic_rows(snapshot: Snapshot) -> tuple[TopicRow, ...]:
+def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
     """Return a row per live publisher, sorted by topic and node; two announcements of one publisher are one row."""
-    now_s = snapshot.observation.now_s
     by_identity = {(p.topic, p.node): p for p in snapshot.observation.publishers}
     by_topic = {row.name: row for row in snapshot.allocation.topics}
-    plan = snapshot.decision.plan.topics
-    return tuple(
-        TopicRow(
-            publisher=publisher, planned=plan.get(topic), allocation=by_topic.get(topic), age_s=publisher.age_s(now_s)
+    rows = []
+    for (topic, node), publisher in sorted(by_identity.items()):
+        planned, allocation = snapshot.decision.plan.topics.get(topic), by_topic.get(topic)
+        kept = 1.0
+        if planned and allocation and publisher.source_rate_hz > 0 and allocation.binding in _OF_THE_LINK:
+            kept = min(1.0, allocation.rate_hz / publisher.source_rate_hz)
+        rows.append(
+            Topic(
+                topic=topic,
+                node=node,
+                planned=planned,
+                confirmed=publisher,
+                allocation=allocation,
+                kept_ratio=kept,
+                keeps_qos=publisher.refusal_reason.is_lasting,
+                age_s=publisher.age_s(snapshot.observation.now_s),
+            )
         )
-        for (topic, _node), publisher in sorted(by_identity.items())
-    )
+    return tuple(rows)

@@ -2,75 +2,42 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import logging
+import os
 import socket
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
 
 import prometheus_client
 from prometheus_client import CollectorRegistry, disable_created_metrics
 from tornado.httputil import split_host_and_port
 
 from arpd.model.errors import ConfigError
-from arpd.web.passwords import PasswordVerdict
+from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
 from arpd.web.web_config import Protection, load_protection
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from tornado.httputil import HTTPServerRequest
+
+    from arpd.model.settings import HttpSettings
 
 log = logging.getLogger(__name__)
 
-
-class Access:
-    """Keeps `Protection` up to date with its files; if they cannot be used, the last good one stays in force.
-
-    TLS, users, client certificates and the list of their names cannot be removed without a restart, so that a
-    half-written file does not open the port.
-
-    Parameters
-    ----------
-    path : web-config file, None = no protection
-    counts : notes whether the file can be used
-
-    Raises
-    ------
-    ConfigError
-        If the file cannot be used.
-    """
-
-    def __init__(self, path: Path | None, *, counts: HttpCounts) -> None:
-        self._path = path
-        self._counts = counts
-        self._fault = ""
-        self.protection = Protection() if path is None else load_protection(path)
-        self._stamps = _stamps(self.protection.files)
-
-    def follow(self) -> bool:
-        """Read the files again if they have changed; return True if there is another protection in force."""
-        if self._path is None:
-            return False
-        stamps = _stamps(self.protection.files)  # taken before reading, so that a later change is read again
-        if stamps == self._stamps and not self._fault:  # a file that a broken web-config names may appear
-            return False
-        self._stamps = stamps
-        try:
-            protection = load_protection(self._path)
-            fault = _opened(self.protection, protection)
-        except (ConfigError, OSError) as error:  # a certificate may vanish while it is read
-            fault = str(error)
-        self._counts.is_config_good.set(not fault)
-        if fault and fault != self._fault:
-            log.error("http.web_config is refused; the last good one stays in force: %s", fault)
-        self._fault = fault
-        if fault:
-            return False
-        log.info("http.web_config has changed and is in force")
-        if protection.files != self.protection.files:
-            self._stamps = _stamps(protection.files)
-        self.protection = protection
-        return True
+_REFUSALS = {
+    PasswordVerdict.MISSING: HTTPStatus.UNAUTHORIZED,
+    PasswordVerdict.WRONG: HTTPStatus.UNAUTHORIZED,
+    PasswordVerdict.THROTTLED: HTTPStatus.TOO_MANY_REQUESTS,
+    PasswordVerdict.BUSY: HTTPStatus.SERVICE_UNAVAILABLE,
+}
 
 
 class HttpCounts:
@@ -94,10 +61,81 @@ class HttpCounts:
         for verdict in PasswordVerdict:
             self.authentications.labels(verdict)  # from zero, so that rate() sees the first
         text = "0 while http.web_config cannot be used and an older version is in force."
-        self.is_config_good = prometheus_client.Gauge(
-            "arpd_http_config_last_reload_successful", text, registry=registry
-        )
+        name = "arpd_http_config_last_reload_successful"
+        self.is_config_good = prometheus_client.Gauge(name, text, registry=registry)
         self.is_config_good.set(1)
+
+
+class Access:
+    """Lets requests in, or refuses them; keeps the last good `Protection` while its files cannot be used.
+
+    TLS, users and client certificates cannot be removed without a restart, so that a half-written file does not open
+    the port.
+
+    Parameters
+    ----------
+    http : address and web-config
+    directory : folder where a relative ``http.web_config`` starts
+    counts : notes verdicts, and whether the file can be used
+
+    Raises
+    ------
+    ConfigError
+        If the web-config cannot be used.
+    """
+
+    def __init__(self, http: HttpSettings, *, directory: Path, counts: HttpCounts) -> None:
+        self._http, self._directory = http, directory
+        self.counts = counts
+        self._fault = ""
+        self.protection = load_protection(http, directory=directory)
+        self._stamps = _stamps(self.protection.files)
+        self._passwords = Passwords(clock=time.monotonic, secret=os.urandom(32))
+        # One more than may wait for bcrypt, so that the next is refused at once.
+        self._threads = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-access")
+
+    def close(self) -> None:
+        """Judge no further request."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    async def refusal(self, request: HTTPServerRequest) -> HTTPStatus | None:
+        """Return why a request without the right name or password is refused, None for one that may be answered."""
+        protection = self.protection
+        if protection.users:
+            given = request.headers.get("Authorization", "").encode("latin-1", "replace")
+            client = client_of(str(request.remote_ip))
+            verdict = await self._in_thread(self._passwords.judge, protection.users, given, client)
+            self.counts.authentications.labels(verdict).inc()
+            return _REFUSALS.get(verdict)
+        if protection.tls is None and not await self._in_thread(is_own_name, request.host, self._http.host):
+            return HTTPStatus.MISDIRECTED_REQUEST
+        return None
+
+    async def _in_thread(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, work, *arguments)
+
+    def follow(self) -> bool:
+        """Read the files again if they have changed; return True if there is another protection in force."""
+        stamps = _stamps(self.protection.files)  # taken before reading, so that a later change is read again
+        if stamps == self._stamps and not self._fault:  # a file that a broken web-config names may appear
+            return False
+        self._stamps = stamps
+        try:
+            protection = load_protection(self._http, directory=self._directory)
+            fault = _opened(self.protection, protection)
+        except ConfigError as error:
+            fault = str(error)
+        self.counts.is_config_good.set(not fault)
+        if fault and fault != self._fault:
+            log.error("http.web_config is refused; the last good one stays in force: %s", fault)
+        self._fault = fault
+        if fault:
+            return False
+        log.info("http.web_config has changed and is in force")
+        if protection.files != self.protection.files:
+            self._stamps = _stamps(protection.files)
+        self.protection = protection
+        return True
 
 
 def exposure(address: str, protection: Protection) -> str:
@@ -148,20 +186,17 @@ def _opened(old: Protection, new: Protection) -> str:
         ("tls_server_config", old.tls, new.tls),
         ("basic_auth_users", old.users, new.users),
         ("client_auth_type", old.requires_certificate, new.requires_certificate),
-        ("client_allowed_sans", old.allowed_sans, new.allowed_sans),
     ):
         if bool(before) and not after:
             return f"{key}: was removed; restart arpd if this is intended"
     return ""
 
 
-def _stamps(files: tuple[Path, ...]) -> list[tuple[int, int, int] | None]:
-    stamps: list[tuple[int, int, int] | None] = []
-    for file in files:
-        try:
+def _stamps(files: Sequence[Path]) -> list[tuple[int, int, int] | None]:
+    def stamp(file: Path) -> tuple[int, int, int] | None:
+        with suppress(OSError):
             status = file.stat()
-        except OSError:
-            stamps.append(None)
-        else:
-            stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
-    return stamps
+            return status.st_mtime_ns, status.st_size, status.st_ino
+        return None
+
+    return [*map(stamp, files)]

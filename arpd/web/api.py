@@ -21,7 +21,7 @@ from arpd.report.events import Event
 from arpd.report.history import LINK_SERIES, MOST_TOPICS, NO_RATES, PERIOD_S, RATE_SERIES, SPAN_S
 from arpd.report.situation import judge
 from arpd.report.snapshot import Totals
-from arpd.report.topic_rows import topic_rows
+from arpd.report.topic_rows import Topic, topic_rows
 from arpd.web.json_text import head_and_rows, plain
 
 if TYPE_CHECKING:
@@ -30,11 +30,10 @@ if TYPE_CHECKING:
     from arpd.report import conditions
     from arpd.report.history import Sample
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import TopicRow
 
 API_VERSION = "v1"
-# `Event` names it for type checkers only; who reads a document finds it here.
-NESTED = (Happening,)
+# `Event` and `Topic` name them for type checkers only; who reads a document finds them here.
+NESTED = (Happening, PublisherState, TopicAllocation, TopicPlan)
 _MOST_EVENTS = 50
 
 
@@ -94,30 +93,6 @@ class Plan:
     publishers: int
     confirmed: int
     paced_only: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Topic:
-    """One publisher that has announced itself; topic and node identify it.
-
-    Parameters
-    ----------
-    planned : its row of the plan in force; null if no plan has the topic
-    confirmed : what it announces: its counters, and the settings in force
-    allocation : what the last tick gives it; null if the program does not have the topic
-    kept_ratio : part of the source's rate that the link leaves it now, 0 to 1; 1 where the link does not slow it
-    keeps_qos : True if it refuses new QoS for good, so that arpd manages only the rate
-    age_s : time since the announcement (s)
-    """
-
-    topic: str
-    node: str
-    planned: TopicPlan | None
-    confirmed: PublisherState
-    allocation: TopicAllocation | None
-    kept_ratio: float
-    keeps_qos: bool
-    age_s: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -297,25 +272,12 @@ def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf
         config_path=snapshot.config_path,
         config_error=snapshot.config_error,
     )
-    yield from head_and_rows(head, (plain(_topic(row)) for row in rows))
+    yield from head_and_rows(head, map(plain, rows))
 
 
 def _finding(found: conditions.Finding) -> Finding:
     what = found.condition
     return Finding(condition=what, severity=what.severity, headline=what.headline, text=found.text, wrong=what.is_wrong)
-
-
-def _topic(row: TopicRow) -> Topic:
-    return Topic(
-        topic=row.publisher.topic,
-        node=row.publisher.node,
-        planned=row.planned,
-        confirmed=row.publisher,
-        allocation=row.allocation,
-        kept_ratio=row.kept_ratio,
-        keeps_qos=row.publisher.refusal_reason.is_lasting,
-        age_s=row.age_s,
-    )
 
 
 def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> Iterator[bytes]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import chain
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, cast
 
 from prometheus_client import generate_latest
 
-from arpd.web.api import API_VERSION, history_json, status_json
+from arpd.web.api import history_json, status_json
 
 if TYPE_CHECKING:
     import threading
@@ -24,18 +23,8 @@ if TYPE_CHECKING:
     from arpd.report.history import History
     from arpd.report.snapshot import Snapshot
 
-_JSON = "application/json"
-_METRICS = "text/plain; version=0.0.4; charset=utf-8"
 _PATIENCE_S = 1.0
 _REST = 3.0  # times the work of a document, the thread rests before the next
-
-
-class Document(NamedTuple):
-    """A body and what it is; `is_there` is False before the first tick."""
-
-    content_type: str
-    body: bytes
-    is_there: bool = True
 
 
 class Documents:
@@ -63,20 +52,19 @@ class Documents:
         resting: threading.Event,
         clock: Callable[[], float],
     ) -> None:
-        self._snapshot = snapshot
+        self.snapshot, self.clock = snapshot, clock
         self._history = history
         self._registry = registry
         self._resting = resting
-        self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="arpd-http-document")
         self._free_at_s = 0.0
-        self._in_the_making: dict[str, asyncio.Future[Document]] = {}
+        self._in_the_making: dict[str, asyncio.Future[bytes]] = {}
 
-    async def get(self, name: str) -> Document:
-        """Return ``metrics``, ``status`` or ``history``."""
+    async def get(self, name: str) -> bytes:
+        """Return ``metrics``, ``status`` or ``history``; there is no status before the first tick."""
         if (made := self._in_the_making.get(name)) is None:
-            make = {"metrics": self._metrics, "status": self._status, "history": self._past}[name]
-            made = asyncio.get_running_loop().run_in_executor(self._thread, self._make, make)
+            pieces = {"metrics": self._metrics, "status": self._status, "history": self._past}[name]
+            made = asyncio.get_running_loop().run_in_executor(self._thread, self._make, pieces)
             self._in_the_making[name] = made
             made.add_done_callback(lambda _: self._in_the_making.pop(name))
         return await asyncio.shield(made)
@@ -85,17 +73,12 @@ class Documents:
         """Begin no other document."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
-    def _make(self, pieces_of: Callable[[], tuple[str, Iterable[bytes]] | None]) -> Document:
+    def _make(self, pieces: Callable[[], Iterable[bytes]]) -> bytes:
         time.sleep(max(0.0, self._free_at_s - time.monotonic()))
         began_s = time.thread_time()
-        found = pieces_of()
-        if found is None:
-            text = json.dumps({"api_version": API_VERSION, "ready": False})
-            return Document(_JSON, f"{text}\n".encode(), is_there=False)
-        content_type, pieces = found
-        body = b"".join(self._between_ticks(pieces))
+        body = b"".join(self._between_ticks(pieces()))
         self._free_at_s = time.monotonic() + _REST * (time.thread_time() - began_s)
-        return Document(content_type, body)
+        return body
 
     def _between_ticks(self, pieces: Iterable[bytes]) -> Iterator[bytes]:
         left_s = _PATIENCE_S
@@ -106,17 +89,14 @@ class Documents:
                 self._resting.wait(left_s)
                 left_s -= time.monotonic() - began_s
 
-    def _metrics(self) -> tuple[str, Iterable[bytes]]:
+    def _metrics(self) -> Iterable[bytes]:
         families = (SimpleNamespace(collect=partial(iter, [family])) for family in self._registry.collect())
-        return _METRICS, (generate_latest(cast("CollectorRegistry", one)) for one in families)
+        return (generate_latest(cast("CollectorRegistry", one)) for one in families)
 
-    def _status(self) -> tuple[str, Iterable[bytes]] | None:
-        snapshot = self._snapshot()
-        if snapshot is None:
-            return None
-        return _JSON, status_json(snapshot, now_s=self._clock())
+    def _status(self) -> Iterable[bytes]:
+        snapshot = self.snapshot()
+        return () if snapshot is None else status_json(snapshot, now_s=self.clock())
 
-    def _past(self) -> tuple[str, Iterable[bytes]]:
-        samples, snapshot = self._history.samples, self._snapshot()
-        events = () if snapshot is None else snapshot.events
-        return _JSON, history_json(samples, events)
+    def _past(self) -> Iterable[bytes]:
+        samples, snapshot = self._history.samples, self.snapshot()
+        return history_json(samples, snapshot.events if snapshot else ())

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
-from concurrent.futures import ThreadPoolExecutor
+import json
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 
-from arpd.web.access import client_of, is_own_name
-from arpd.web.api import History, Status
+from arpd.web.api import API_VERSION, History, Status
 from arpd.web.json_text import schema_of
-from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
-from arpd.web.web_config import has_allowed_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from arpd.report.snapshot import Snapshot
-    from arpd.web.access import Access, HttpCounts
+    from arpd.web.access import Access
     from arpd.web.documents import Documents
 
 HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
@@ -43,12 +36,7 @@ _OF_STATUS = {
     HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "1"},
     HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
 }
-_OF_VERDICT = {
-    PasswordVerdict.MISSING: HTTPStatus.UNAUTHORIZED,
-    PasswordVerdict.WRONG: HTTPStatus.UNAUTHORIZED,
-    PasswordVerdict.THROTTLED: HTTPStatus.TOO_MANY_REQUESTS,
-    PasswordVerdict.BUSY: HTTPStatus.SERVICE_UNAVAILABLE,
-}
+_METRICS = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Site(Application):
@@ -58,31 +46,12 @@ class Site(Application):
     ----------
     documents : metrics, status and history
     access : who may ask
-    passwords : judges credentials
-    counts : counts answers
-    snapshot, clock : see `Documents`
-    host : ``http.host``
     """
 
-    def __init__(
-        self,
-        *,
-        documents: Documents,
-        access: Access,
-        passwords: Passwords,
-        counts: HttpCounts,
-        snapshot: Callable[[], Snapshot | None],
-        clock: Callable[[], float],
-        host: str,
-    ) -> None:
+    def __init__(self, *, documents: Documents, access: Access) -> None:
         self.documents = documents
         self.access = access
-        self.passwords = passwords
-        self.counts = counts
-        self.host = host
-        # One more than may wait for bcrypt, so that the next is refused at once.
-        self.threads = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-password")
-        self.snapshot, self.clock, self.started_at_s = snapshot, clock, clock()
+        self.started_at_s = documents.clock()
         super().__init__(
             [
                 (r"/()", _Asset, {"path": ASSETS, "default_filename": "page.html"}),
@@ -100,12 +69,7 @@ class Site(Application):
     def _count(self, handler: RequestHandler) -> None:
         path = handler.request.path
         label = "/assets/" if path.startswith("/assets/") else "other" if isinstance(handler, _Nothing) else path
-        self.counts.requests.labels(label, handler.get_status()).inc()
-
-    def close(self) -> None:
-        """Start no further work."""
-        self.documents.close()
-        self.threads.shutdown(wait=False, cancel_futures=True)
+        self.access.counts.requests.labels(label, handler.get_status()).inc()
 
 
 class _Guarded(RequestHandler):
@@ -122,24 +86,8 @@ class _Guarded(RequestHandler):
             self.set_header(name, value)
 
     async def prepare(self) -> None:
-        """Refuse a client that lacks the right certificate, name or password."""
-        protection, request = self.site.access.protection, self.request
-        if protection.allowed_sans:
-            certificate = cast("dict[str, Any]", request.get_ssl_certificate())
-            if not has_allowed_name(certificate, protection.allowed_sans):
-                raise HTTPError(HTTPStatus.FORBIDDEN)
-        if protection.users:
-            given = request.headers.get("Authorization", "").encode("latin-1", "replace")
-            client = client_of(str(request.remote_ip))
-            verdict = await self._in_thread(self.site.passwords.judge, protection.users, given, client)
-            self.site.counts.authentications.labels(verdict).inc()
-            if verdict in _OF_VERDICT:
-                raise HTTPError(_OF_VERDICT[verdict])
-        elif protection.tls is None and not await self._in_thread(is_own_name, request.host, self.site.host):
-            raise HTTPError(HTTPStatus.MISDIRECTED_REQUEST)
-
-    async def _in_thread(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self.site.threads, work, *arguments)
+        if status := await self.site.access.refusal(self.request):
+            raise HTTPError(status)
 
     def write_error(self, status_code: int, **_: Any) -> None:
         """Answer with the code and its phrase, and nothing of the request."""
@@ -168,11 +116,12 @@ class _Asset(_Guarded, StaticFileHandler):
 
 class _Document(_Guarded):
     async def get(self, name: str) -> None:
-        document = await self.site.documents.get(name)
-        if not document.is_there:
+        body = await self.site.documents.get(name)
+        self.set_header("Content-Type", _METRICS if name == "metrics" else "application/json")
+        if not body:
             self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
-        self.set_header("Content-Type", document.content_type)
-        self.write(document.body)
+            body = json.dumps({"api_version": API_VERSION, "ready": False}).encode()
+        self.write(body)
 
     head = get
 
@@ -187,9 +136,10 @@ class _Schema(_Guarded):
 
 class _Health(_Guarded):
     def get(self, what: str) -> None:
-        snapshot, wrong = self.site.snapshot(), ""
+        documents, wrong = self.site.documents, ""
+        snapshot = documents.snapshot()
         # Before the first tick the start counts, so that a slow start is no hang.
-        since_s = self.site.clock() - (snapshot.finished_at_s if snapshot else self.site.started_at_s)
+        since_s = documents.clock() - (snapshot.finished_at_s if snapshot else self.site.started_at_s)
         if what == "ready" and snapshot is None:
             wrong = "not ready: no tick has finished yet"
         elif what == "healthy" and since_s >= HEALTHY_S:

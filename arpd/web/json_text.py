@@ -14,6 +14,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import to_json
 
 from arpd.model.quantities import shortened
@@ -84,12 +85,18 @@ def read(kind: Callable[..., _T], document: object) -> _T:
     return found
 
 
+class _Schema(GenerateJsonSchema):
+    def float_schema(self, schema: Any) -> dict[str, Any]:
+        """Let every number be null: infinite or unknown."""
+        return super().float_schema(schema) | {"type": ["number", "null"]}
+
+
 @cache
 def schema_of(kind: Any, name: str) -> bytes:
     """Return the JSON Schema (draft 2020-12) of a document."""
-    schema = _adapter(kind).json_schema(mode="serialization")
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": f"{name}-v1.json"}
-    return f"{json.dumps(head | _tidied(schema) | {'title': f'arpd {name}'}, indent=1)}\n".encode()
+    schema = _adapter(kind).json_schema(mode="serialization", schema_generator=_Schema)
+    head = {"$schema": _Schema.schema_dialect, "$id": f"{name}-v1.json"}
+    return f"{json.dumps(head | schema | {'title': f'arpd {name}'}, indent=1)}\n".encode()
 
 
 @cache
@@ -107,22 +114,6 @@ def _with_infinities(part: Any) -> Any:
             for key, value in part.items()
         }
     return [_with_infinities(each) for each in part] if isinstance(part, list) else part
-
-
-def _tidied(part: Any, name: str = "") -> Any:
-    """Leave out titles and what a document does not show; every other key is there, and some numbers may be null."""
-    if isinstance(part, list):
-        return [_tidied(each) for each in part]
-    if not isinstance(part, dict):
-        return part
-    tidy = {key: _tidied(value, key) for key, value in part.items() if not (key == "title" and isinstance(value, str))}
-    if "properties" in tidy:
-        hidden = _HIDDEN.get(name, set())
-        tidy["properties"] = {key: value for key, value in tidy["properties"].items() if key not in hidden}
-        tidy["required"] = sorted(tidy["properties"])
-    if name in _MAY_BE_INFINITE and tidy.get("type") == "number":
-        tidy["type"] = ["number", "null"]
-    return tidy
 
 
 def _text(value: Any) -> bytes:

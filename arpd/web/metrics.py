@@ -6,17 +6,11 @@ import math
 import platform
 import time
 from collections import Counter
-from itertools import product
+from itertools import chain, product
 from typing import TYPE_CHECKING, TypeAlias
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    InfoMetricFamily,
-    Sample,
-)
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Sample
 from prometheus_client.registry import Collector
 
 from arpd import __version__
@@ -28,119 +22,23 @@ from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.relay.calls import FailureReason
 from arpd.report.conditions import MESSAGE_IDS, Condition
-from arpd.report.durations import Distribution
 from arpd.report.situation import judge
 from arpd.report.topic_rows import topic_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
+    from prometheus_client import Histogram
     from prometheus_client.core import Metric
 
-    from arpd.model.endpoints import PublisherState
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import TopicRow
+    from arpd.report.topic_rows import Topic
 
 _Labels: TypeAlias = dict[str, str]
 _Rows: TypeAlias = "Iterable[tuple[_Labels, float]]"  # there may be thousands
-# A number, one for each set of labels, a histogram, labels of an info; None is unknown and has no series.
-_Value: TypeAlias = "_Rows | float | Distribution | _Labels | None"
+# A number, one for each set of labels, labels of an info; None is unknown and has no series.
+_Value: TypeAlias = "_Rows | float | _Labels | None"
 
-# What each family says, in their order. One is a counter if its name ends in ``_total``.
-_HELP = {
-    "snapshot_age_seconds": "Time since the last tick finished.",
-    "condition": "1 while arpd judges that the condition holds; wrong where somebody should look.",
-    "link_capacity_bytes_per_second": "Wire bytes per second that the link carries, as estimated.",
-    "link_capacity_kind": "Evidence behind the capacity estimate. 1 marks the current one.",
-    "link_state": "State of the link. 1 marks the current one.",
-    "link_estimate_age_seconds": "Time since the evidence behind the capacity estimate.",
-    "link_cross_traffic_bytes_per_second": (
-        "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity."
-    ),
-    "link_queue_delay_seconds": "One-way delay above its minimum of the last 10 seconds.",
-    "link_return_delay_seconds": (
-        "One-way delay of the peer's reports above its minimum of the last 10 seconds; commands wait as long."
-    ),
-    "link_delivery_rate_bytes_per_second": "Bytes per second that the peer received over the last 300 ms.",
-    "link_loss_ratio": "Share of recent probe packets that never reached a peer.",
-    "peers": "Peers heard in the last minute.",
-    "peer_report_age_seconds": "Time since the peer's last report.",
-    "peer_clock_uncertainty_seconds": (
-        "Most error of the difference of the clocks: half the shortest round trip of the last 30 seconds."
-    ),
-    "link_budget_bytes_per_second": "Wire bytes per second that the topics may put on the link now.",
-    "allowed_ratio": "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed.",
-    "level_bytes_per_second": "Lasting budget that the plan in force was made for.",
-    "allocation_status": "Status of the allocation. 1 marks the current one.",
-    "topics_bound_by_memory": "Topics whose depth memory limits.",
-    "plan_generation": "Generation of the plan in force; 0 before the first.",
-    "publishers_managed": "Live publishers that the plan in force covers.",
-    "publishers_confirmed": (
-        "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its ceiling."
-    ),
-    "publishers_refused": (
-        "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced."
-    ),
-    "endpoints_pending": "Publishers that announce themselves but that the ROS graph does not show.",
-    "other_daemons": "Other arpd daemons in the ROS domain; only one of them drives the robot.",
-    "standing_by": "1 while another daemon drives the robot and this one stands by.",
-    "messages_refused_total": "Messages from the network, or parts of them, that arpd refused.",
-    "memory_available_bytes": "Memory of the robot computer that new work could use.",
-    "config_last_reload_successful": "0 while the last reload was refused and an older configuration is in force.",
-    "config_keys_awaiting_restart": "Changed keys that take effect only after a restart.",
-    "link_interface_state": "State of the link interface. 1 marks the current one.",
-    "link_radio_bytes_per_second": "Bit rate at which the radio transmits; only a part of it is usable.",
-    "interface_receive_bytes_total": "Bytes that the link interface received.",
-    "interface_transmit_bytes_total": "Bytes that the link interface sent.",
-    "interface_transmit_packets_total": "Packets that the link interface sent.",
-    "interface_transmit_dropped_packets_total": "Packets dropped on the way out.",
-    "rmw": "ROS middleware; if swaps is no, arpd only paces topics.",
-    "ticks_total": "Ticks: each observes, estimates and sends the price; two a second also plan.",
-    "tick_failures_total": "Ticks that raised an error; the plan in force stays and the journal has the error.",
-    "ticks_late_total": "Ticks that began more than half a period late.",
-    "probe_bytes_total": "Wire bytes of the probes.",
-    "peer_reports_total": "Reports of peers that arrived.",
-    "events_total": "Lines of the decision log.",
-    "plans_total": "Plans made.",
-    "refusals_total": "Plans and swaps that were due and had to wait.",
-    "apply_failures_total": "Plans that a node refused or did not answer; arpd repeats them.",
-    "solve_failures_total": (
-        "Solves without an answer, or with one that missed the budget; the closed form answered instead."
-    ),
-    "tick_duration_seconds": "Duration of finished ticks.",
-    "tick_lateness_seconds": "Delay after the planned time at which ticks began; above 0.05 counts as late.",
-    "solve_duration_seconds": "Duration of solves of the whole program, one for each tick that plans.",
-    "relay_end_up": "1 while the relay's end on the robot tells the daemon what it does.",
-    "relay_other_end_up": "1 while the relay's other end is heard and understood.",
-    "relay_topics": (
-        "Topics that one side offers, that the other one reads, and that an end refuses, with refused services."
-    ),
-    "relay_samples_total": (
-        "Samples at the robot's end: new, second copies, outdated in an outage, of unknown writers or half a group."
-    ),
-    "relay_calls_failed_total": "Calls from the robot's nodes across the link that had no answer.",
-}
-_HELP_OF_TOPIC = {
-    "share_ratio": "Share of link time that the program gives the topic.",
-    "planned_min_rate_hertz": (
-        "Minimum rate of the plan; the price slows the topic below it only where not all minimum rates fit."
-    ),
-    "paced_rate_hertz": "Rate that plan and price leave the publisher, as announced; +Inf is unpaced.",
-    "confirmed_depth_samples": "DEPTH announced.",
-    "confirmed_deadline_seconds": "DEADLINE period announced; +Inf is none.",
-    "source_rate_hertz": "Rate at which the application publishes.",
-    "published_rate_hertz": "Rate at which messages leave for the link.",
-    "payload_bytes": "Mean serialized size of recent messages.",
-    "queued_messages": "Messages waiting in the pacing queue.",
-    "remote_readers": "Off-host participants that read the topic.",
-    "offered_messages_total": "Messages that the application published.",
-    "published_messages_total": "Messages written to the link.",
-    "publish_blocked_seconds_total": "Time spent in the middleware's publish().",
-    "deadlines_missed_total": "Offered DEADLINE periods that passed without a message.",
-    "swaps_total": "Writer swaps begun; each replaces the writer by one with other DEPTH or DEADLINE.",
-    "swap_failures_total": "Writer swaps that replaced no writer or may have lost messages.",
-}
-_WITHHELD = "Messages not sent, by cause: ceiling (rate), price, writer that blocked or failed, publisher that closed."
 _CAUSES = ("budget", "demand", "down", "memory", "readers", "reload", "start", "takeover", "topics", "up")
 _LASTING = set(RefusalReason) - {RefusalReason.NONE}
 _NO_FAILURES = {SwapResult.OK, SwapResult.SUPERSEDED, SwapResult.REORDER_POSSIBLE}
@@ -175,29 +73,28 @@ class SnapshotCollector(Collector):
         yield _family("ready", "1 once the first tick has finished.", snapshot is not None)
         if snapshot is None:
             return
-        rows = topic_rows(snapshot)
-        values = {
-            "snapshot_age_seconds": max(0.0, self._clock() - snapshot.finished_at_s),
-            "condition": _conditions(snapshot, rows, now_s=self._clock()),
-            **_of_link(snapshot),
-            **_of_plan(snapshot),
-            **_of_interface(snapshot),
-            **_totals(snapshot),
-            **_of_relay(snapshot),
-        }
-        for name, text in _HELP.items():
-            made = _family(name, text, values.get(name))
-            if made.samples:
-                yield made
-        yield from (made for made in _of_topics(rows) if made.samples)
+        now_s, rows = self._clock(), topic_rows(snapshot)
+        age_s = max(0.0, now_s - snapshot.finished_at_s)
+        yield _family("snapshot_age_seconds", "Time since the last tick finished.", age_s)
+        yield _family(
+            "condition",
+            "1 while arpd judges that the condition holds; wrong where somebody should look.",
+            _conditions(snapshot, rows, now_s=now_s),
+        )
+        parts = (part(snapshot) for part in (_of_link, _of_plan, _of_interface, _totals, _of_relay))
+        yield from (made for made in chain(*parts, _of_topics(rows)) if made.samples)
 
 
 def make_registry(
-    snapshot: Callable[[], Snapshot | None], *, clock: Callable[[], float] = time.monotonic
+    snapshot: Callable[[], Snapshot | None],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    durations: Iterable[Histogram] = (),
 ) -> CollectorRegistry:
     """Return a registry with arpd's metrics and the usual ``process_*`` and ``python_info``."""
     registry = CollectorRegistry()
-    registry.register(SnapshotCollector(snapshot, clock=clock))
+    for collector in (SnapshotCollector(snapshot, clock=clock), *durations):
+        registry.register(collector)
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
     return registry
@@ -207,9 +104,6 @@ def _family(name: str, text: str, value: _Value) -> Metric:
     name = f"arpd_{name}"
     if isinstance(value, dict):
         return InfoMetricFamily(name, text, value)
-    if isinstance(value, Distribution):
-        buckets = [("+Inf" if math.isinf(bound) else str(bound), count) for bound, count in value.up_to]
-        return HistogramMetricFamily(name, text, buckets=buckets, sum_value=value.total_s)
     made = CounterMetricFamily(name, text) if name.endswith("_total") else GaugeMetricFamily(name, text)
     rows = () if value is None else [({}, value)] if isinstance(value, int | float) else value
     # Samples made here share the labels of their row; `add_metric` would copy them.
@@ -227,7 +121,7 @@ def _counts(label: str, known: Iterable[str], found: Mapping[str, float], outer:
     return [({**(outer or {}), label: value}, found.get(value, 0)) for value in sorted(map(str, known))]
 
 
-def _conditions(snapshot: Snapshot, rows: tuple[TopicRow, ...], *, now_s: float) -> _Rows:
+def _conditions(snapshot: Snapshot, rows: tuple[Topic, ...], *, now_s: float) -> _Rows:
     held = {finding.condition for finding in judge(snapshot, rows=rows, now_s=now_s).findings}
     return [
         ({"condition": each, "severity": each.severity, "wrong": str(each.is_wrong).lower()}, each in held)
@@ -235,147 +129,204 @@ def _conditions(snapshot: Snapshot, rows: tuple[TopicRow, ...], *, now_s: float)
     ]
 
 
-def _of_link(snapshot: Snapshot) -> dict[str, _Value]:
+def _of_link(snapshot: Snapshot) -> Iterator[Metric]:
     link, observation = snapshot.link, snapshot.observation
-    return {
-        "link_capacity_bytes_per_second": link.capacity_bytes_per_second,
-        "link_capacity_kind": _states("kind", CapacityKind, link.kind),
-        "link_state": _states("state", LinkState, link.state),
-        "link_estimate_age_seconds": link.age_s,
-        "link_cross_traffic_bytes_per_second": link.cross_traffic_bytes_per_second,
-        "link_queue_delay_seconds": link.queue_delay_s,
-        "link_return_delay_seconds": link.return_delay_s,
-        "link_delivery_rate_bytes_per_second": link.delivery_rate_bytes_per_second,
-        "link_loss_ratio": link.loss_ratio,
-        "peers": len(observation.peer_ages_s),
-        "peer_report_age_seconds": [({"peer": peer}, age_s) for peer, age_s in sorted(observation.peer_ages_s.items())],
-        "peer_clock_uncertainty_seconds": [
-            ({"peer": peer}, clock.uncertainty_s) for peer, clock in sorted(observation.peer_clocks.items())
-        ],
-    }
+    yield _family(
+        "link_capacity_bytes_per_second", "Wire bytes per second that the link carries.", link.capacity_bytes_per_second
+    )
+    yield _family(
+        "link_capacity_kind", "1 marks the evidence of the estimate.", _states("kind", CapacityKind, link.kind)
+    )
+    yield _family("link_state", "1 marks the state of the link.", _states("state", LinkState, link.state))
+    yield _family("link_estimate_age_seconds", "Time since the evidence behind the capacity estimate.", link.age_s)
+    yield _family(
+        "link_cross_traffic_bytes_per_second",
+        "Cross traffic, which arpd's topics and probes do not explain; arpd yields at most half of the capacity.",
+        link.cross_traffic_bytes_per_second,
+    )
+    yield _family("link_queue_delay_seconds", "One-way delay above its minimum of the last 10 s.", link.queue_delay_s)
+    text = "One-way delay of the peer's reports above its minimum of the last 10 s; commands wait as long."
+    yield _family("link_return_delay_seconds", text, link.return_delay_s)
+    text = "Bytes per second that the peer received over the last 300 ms."
+    yield _family("link_delivery_rate_bytes_per_second", text, link.delivery_rate_bytes_per_second)
+    yield _family("link_loss_ratio", "Share of recent probe packets that never reached a peer.", link.loss_ratio)
+    yield _family("peers", "Peers heard in the last minute.", len(observation.peer_ages_s))
+    ages = [({"peer": peer}, age_s) for peer, age_s in sorted(observation.peer_ages_s.items())]
+    yield _family("peer_report_age_seconds", "Time since the peer's last report.", ages)
+    yield _family(
+        "peer_clock_uncertainty_seconds",
+        "Most error of the difference of the clocks: half the shortest round trip of the last 30 seconds.",
+        [({"peer": peer}, clock.uncertainty_s) for peer, clock in sorted(observation.peer_clocks.items())],
+    )
 
 
-def _of_plan(snapshot: Snapshot) -> dict[str, _Value]:
+def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
     observation, allocation, taken = snapshot.observation, snapshot.allocation, snapshot.observation.taken
-    return {
-        "link_budget_bytes_per_second": allocation.capacity_bytes_per_second,
-        "allowed_ratio": snapshot.decision.allowed,
-        "level_bytes_per_second": snapshot.decision.plan.level_bytes_per_second,
-        "allocation_status": _states("status", AllocationStatus, allocation.status),
-        "topics_bound_by_memory": sum(topic.depth_binding is Binding.MEMORY for topic in allocation.topics),
-        "plan_generation": snapshot.decision.plan.generation,
-        "publishers_managed": snapshot.managed,
-        "publishers_confirmed": snapshot.confirmed,
-        "publishers_refused": _counts("reason", _LASTING, Counter(p.refusal_reason for p in observation.publishers)),
-        "endpoints_pending": taken.pending,
-        "other_daemons": len(observation.other_daemons),
-        "standing_by": bool(observation.active_daemon),
-        "messages_refused_total": [
-            ({"kind": kind, "reason": reason}, taken.refused.get((kind, reason), 0))
-            for kind, reason in product(MessageKind, MessageRefusal)
-        ],
-        "memory_available_bytes": observation.memory.available_bytes,
-        "config_last_reload_successful": not snapshot.config_error,
-        "config_keys_awaiting_restart": len(snapshot.keys_awaiting_restart),
-    }
+    plan = snapshot.decision.plan
+    text = "Wire bytes per second that the topics may put on the link now."
+    yield _family("link_budget_bytes_per_second", text, allocation.capacity_bytes_per_second)
+    text = "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed."
+    yield _family("allowed_ratio", text, snapshot.decision.allowed)
+    text = "Lasting budget that the plan in force was made for."
+    yield _family("level_bytes_per_second", text, plan.level_bytes_per_second)
+    statuses = _states("status", AllocationStatus, allocation.status)
+    yield _family("allocation_status", "1 marks the status of the allocation.", statuses)
+    bound = sum(topic.depth_binding is Binding.MEMORY for topic in allocation.topics)
+    yield _family("topics_bound_by_memory", "Topics whose depth memory limits.", bound)
+    yield _family("plan_generation", "Generation of the plan in force; 0 before the first.", plan.generation)
+    yield _family("publishers_managed", "Live publishers that the plan in force covers.", snapshot.managed)
+    text = "Managed publishers that announce the plan in force, or refuse its QoS for good and announce its ceiling."
+    yield _family("publishers_confirmed", text, snapshot.confirmed)
+    yield _family(
+        "publishers_refused",
+        "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced.",
+        _counts("reason", _LASTING, Counter(p.refusal_reason for p in observation.publishers)),
+    )
+    yield _family("endpoints_pending", "Publishers that the ROS graph does not show.", taken.pending)
+    text = "Other arpd daemons in the ROS domain; only one of them drives the robot."
+    yield _family("other_daemons", text, len(observation.other_daemons))
+    text = "1 while another daemon drives the robot and this one stands by."
+    yield _family("standing_by", text, bool(observation.active_daemon))
+    kinds = product(MessageKind, MessageRefusal)
+    yield _family(
+        "messages_refused_total",
+        "Messages from the network, or parts of them, that arpd refused.",
+        [({"kind": kind, "reason": reason}, taken.refused.get((kind, reason), 0)) for kind, reason in kinds],
+    )
+    text = "Memory of the robot computer that new work could use."
+    yield _family("memory_available_bytes", text, observation.memory.available_bytes)
+    text = "0 while the last reload was refused and an older configuration is in force."
+    yield _family("config_last_reload_successful", text, not snapshot.config_error)
+    text = "Changed keys that take effect only after a restart."
+    yield _family("config_keys_awaiting_restart", text, len(snapshot.keys_awaiting_restart))
 
 
-def _of_interface(snapshot: Snapshot) -> dict[str, _Value]:
-    """Return what the interface does, with its configured name, because a rename must not begin new series."""
+def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield what the interface does, with its configured name, because a rename must not begin new series."""
     labels, observation = {"interface": snapshot.interface}, snapshot.observation
-    swaps = "no" if observation.rmw_refusal else "yes"
-    found: dict[str, _Value] = {
-        "link_interface_state": _states("state", InterfaceState, state_of(observation.counters), **labels),
-        "rmw": {"rmw": observation.rmw, "swaps": swaps} if observation.rmw else None,
-    }
+    states = _states("state", InterfaceState, state_of(observation.counters), **labels)
+    yield _family("link_interface_state", "1 marks the state of the link interface.", states)
     if (radio := observation.radio_bytes_per_second) is not None:
-        found["link_radio_bytes_per_second"] = [(labels, radio)]
+        text = "Bit rate at which the radio transmits; only a part of it is usable."
+        yield _family("link_radio_bytes_per_second", text, [(labels, radio)])
     if (counters := observation.counters) is not None:
-        found["interface_receive_bytes_total"] = [(labels, counters.rx_bytes)]
-        found["interface_transmit_bytes_total"] = [(labels, counters.tx_bytes)]
-        found["interface_transmit_packets_total"] = [(labels, counters.tx_packets)]
-        found["interface_transmit_dropped_packets_total"] = [(labels, counters.tx_dropped)]
-    return found
+        for name, text, count in (
+            ("receive_bytes", "Bytes that the link interface received.", counters.rx_bytes),
+            ("transmit_bytes", "Bytes that the link interface sent.", counters.tx_bytes),
+            ("transmit_packets", "Packets that the link interface sent.", counters.tx_packets),
+            ("transmit_dropped_packets", "Packets dropped on the way out.", counters.tx_dropped),
+        ):
+            yield _family(f"interface_{name}_total", text, [(labels, count)])
+    if observation.rmw:
+        swaps = {"rmw": observation.rmw, "swaps": "no" if observation.rmw_refusal else "yes"}
+        yield _family("rmw", "ROS middleware; if swaps is no, arpd only paces topics.", swaps)
 
 
-def _totals(snapshot: Snapshot) -> dict[str, _Value]:
+def _totals(snapshot: Snapshot) -> Iterator[Metric]:
     totals = snapshot.totals
-    return {
-        "ticks_total": totals.ticks + totals.ticks_failed,
-        "tick_failures_total": totals.ticks_failed,
-        "ticks_late_total": totals.ticks_late,
-        "probe_bytes_total": totals.probe_bytes,
-        "peer_reports_total": totals.reports,
-        "events_total": _counts("event", MESSAGE_IDS, totals.events_by_kind),
-        "plans_total": _counts("cause", _CAUSES, totals.plans_by_cause),
-        "refusals_total": _counts("reason", ("budget", "dwell"), totals.refusals_by_reason),
-        "apply_failures_total": _counts("reason", ("refused", "timeout"), totals.applies_by_result),
-        "solve_failures_total": sum(
-            many for (_, outcome), many in totals.solves_by_outcome.items() if outcome in {"failed", "disagreed"}
-        ),
-        "tick_duration_seconds": totals.durations.ticks,
-        "tick_lateness_seconds": totals.durations.lateness,
-        "solve_duration_seconds": totals.durations.solves,
-    }
+    text = "Ticks: each observes, estimates and sends the price; two a second also plan."
+    yield _family("ticks_total", text, totals.ticks + totals.ticks_failed)
+    text = "Ticks that raised an error; the plan in force stays and the journal has the error."
+    yield _family("tick_failures_total", text, totals.ticks_failed)
+    yield _family("ticks_late_total", "Ticks that began more than half a period late.", totals.ticks_late)
+    yield _family("probe_bytes_total", "Wire bytes of the probes.", totals.probe_bytes)
+    yield _family("peer_reports_total", "Reports of peers that arrived.", totals.reports)
+    yield _family("events_total", "Lines of the decision log.", _counts("event", MESSAGE_IDS, totals.events_by_kind))
+    yield _family("plans_total", "Plans made.", _counts("cause", _CAUSES, totals.plans_by_cause))
+    refusals = _counts("reason", ("budget", "dwell"), totals.refusals_by_reason)
+    yield _family("refusals_total", "Plans and swaps that were due and had to wait.", refusals)
+    failures = _counts("reason", ("refused", "timeout"), totals.applies_by_result)
+    yield _family("apply_failures_total", "Plans that a node refused or did not answer; arpd repeats them.", failures)
+    yield _family(
+        "solve_failures_total",
+        "Solves without an answer, or with one that missed the budget; the closed form answered instead.",
+        sum(many for (_, outcome), many in totals.solves_by_outcome.items() if outcome in {"failed", "disagreed"}),
+    )
 
 
-def _of_relay(snapshot: Snapshot) -> dict[str, _Value]:
-    """Return nothing without two ends, and only the first while the end on the robot is silent."""
+def _of_relay(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield nothing without two ends, and only the first while the end on the robot is silent."""
     relay = snapshot.observation.relay
+    if relay is not None or snapshot.observation.is_relay_silent:
+        text = "1 while the relay's end on the robot tells the daemon what it does."
+        yield _family("relay_end_up", text, relay is not None)
     if relay is None:
-        return {"relay_end_up": False} if snapshot.observation.is_relay_silent else {}
-    return {
-        "relay_end_up": True,
-        "relay_other_end_up": relay.is_reachable and not relay.fault,
-        "relay_topics": [
+        return
+    is_up = relay.is_reachable and not relay.fault
+    yield _family("relay_other_end_up", "1 while the relay's other end is heard and understood.", is_up)
+    yield _family(
+        "relay_topics",
+        "Topics that one side offers, that the other one reads, and that an end refuses, with refused services.",
+        [
             ({"direction": direction, "state": state}, many)
             for direction, each in (("to_base", relay.to_base), ("to_robot", relay.to_robot))
             for state, many in (("offered", each.offered), ("refused", len(each.refused)), ("wanted", each.wanted))
         ],
-        "relay_samples_total": [
-            ({"result": result}, getattr(relay, result))
-            for result in ("doubled", "incomplete", "outdated", "received", "unknown")
-        ],
-        "relay_calls_failed_total": _counts("reason", (each.value for each in FailureReason), relay.calls_failed),
-    }
-
-
-def _of_topics(rows: tuple[TopicRow, ...]) -> Iterator[Metric]:
-    """Yield about twenty series for each publisher, in the order of the rows."""
-    labels = [_labels(row.publisher) for row in rows]
-    values = [_of_topic(row) for row in rows]
-    for name, text in _HELP_OF_TOPIC.items():
-        found = ((of, value[name]) for of, value in zip(labels, values, strict=True))
-        yield _family(f"topic_{name}", text, ((of, value) for of, value in found if value is not None))
-    withheld = (
-        series
-        for of, row in zip(labels, rows, strict=True)
-        for series in _counts("cause", WithheldCause, row.publisher.withheld_by_cause, of)
     )
-    yield _family("topic_withheld_messages_total", _WITHHELD, withheld)
+    results = ("doubled", "incomplete", "outdated", "received", "unknown")
+    yield _family(
+        "relay_samples_total",
+        "Samples at the robot's end: new, second copies, outdated in an outage, of unknown writers or half a group.",
+        [({"result": result}, getattr(relay, result)) for result in results],
+    )
+    yield _family(
+        "relay_calls_failed_total",
+        "Calls from the robot's nodes across the link that had no answer.",
+        _counts("reason", (each.value for each in FailureReason), relay.calls_failed),
+    )
 
 
-def _labels(publisher: PublisherState) -> _Labels:
-    return {"topic": publisher.topic, "node": publisher.node, "direction": str(publisher.direction)}
+# What each publisher has; a family is a counter if its name ends in ``_total``.
+_OF_TOPIC: Mapping[str, tuple[str, Callable[[Topic], float | None]]] = {
+    "share_ratio": (
+        "Share of link time that the program gives the topic.",
+        lambda row: row.allocation.share if row.allocation else None,
+    ),
+    "planned_min_rate_hertz": (
+        "Minimum rate of the plan; the price slows the topic below it only where not all minimum rates fit.",
+        lambda row: row.planned.min_rate_hz if row.planned else None,
+    ),
+    "paced_rate_hertz": (
+        "Rate that plan and price leave the publisher, as announced; +Inf is unpaced.",
+        lambda row: row.confirmed.paced_rate_hz,
+    ),
+    "confirmed_depth_samples": ("DEPTH announced.", lambda row: row.confirmed.depth),
+    "confirmed_deadline_seconds": (
+        "DEADLINE period announced; +Inf is none.",
+        lambda row: row.confirmed.deadline_ns / NANOSECONDS_PER_SECOND or math.inf,
+    ),
+    "source_rate_hertz": ("Rate at which the application publishes.", lambda row: row.confirmed.source_rate_hz),
+    "published_rate_hertz": ("Rate at which messages leave for the link.", lambda row: row.confirmed.published_rate_hz),
+    "payload_bytes": ("Mean serialized size of recent messages.", lambda row: row.confirmed.payload_bytes),
+    "queued_messages": ("Messages waiting in the pacing queue.", lambda row: row.confirmed.queued),
+    "remote_readers": ("Off-host participants that read the topic.", lambda row: row.confirmed.remote_readers),
+    "offered_messages_total": ("Messages that the application published.", lambda row: row.confirmed.offered),
+    "published_messages_total": ("Messages written to the link.", lambda row: row.confirmed.published),
+    "publish_blocked_seconds_total": (
+        "Time spent in the middleware's publish().",
+        lambda row: row.confirmed.blocked_s,
+    ),
+    "deadlines_missed_total": (
+        "Offered DEADLINE periods that passed without a message.",
+        lambda row: row.confirmed.deadlines_missed,
+    ),
+    "swaps_total": (
+        "Writer swaps begun; each replaces the writer by one with other DEPTH or DEADLINE.",
+        lambda row: row.confirmed.swaps_begun,
+    ),
+    "swap_failures_total": (
+        "Writer swaps that replaced no writer or may have lost messages.",
+        lambda row: sum(n for result, n in row.confirmed.swaps_by_result.items() if result not in _NO_FAILURES),
+    ),
+}
+_WITHHELD = "Messages not sent, by cause: ceiling (rate), price, writer that blocked or failed, publisher that closed."
 
 
-def _of_topic(row: TopicRow) -> dict[str, float | None]:
-    publisher, swaps = row.publisher, row.publisher.swaps_by_result
-    return {
-        "share_ratio": row.allocation.share if row.allocation else None,
-        "planned_min_rate_hertz": row.planned.min_rate_hz if row.planned else None,
-        "paced_rate_hertz": publisher.paced_rate_hz,
-        "confirmed_depth_samples": publisher.depth,
-        "confirmed_deadline_seconds": publisher.deadline_ns / NANOSECONDS_PER_SECOND or math.inf,
-        "source_rate_hertz": publisher.source_rate_hz,
-        "published_rate_hertz": publisher.published_rate_hz,
-        "payload_bytes": publisher.payload_bytes,
-        "queued_messages": publisher.queued,
-        "remote_readers": publisher.remote_readers,
-        "offered_messages_total": publisher.offered,
-        "published_messages_total": publisher.published,
-        "publish_blocked_seconds_total": publisher.blocked_s,
-        "deadlines_missed_total": publisher.deadlines_missed,
-        "swaps_total": publisher.swaps_begun,
-        "swap_failures_total": sum(many for result, many in swaps.items() if result not in _NO_FAILURES),
-    }
+def _of_topics(rows: tuple[Topic, ...]) -> Iterator[Metric]:
+    """Yield about twenty series for each publisher, in the order of the rows."""
+    labelled = [({"topic": r.topic, "node": r.node, "direction": str(r.confirmed.direction)}, r) for r in rows]
+    for name, (text, value_of) in _OF_TOPIC.items():
+        found = ((labels, value_of(row)) for labels, row in labelled)
+        yield _family(f"topic_{name}", text, [(labels, value) for labels, value in found if value is not None])
+    counts = (_counts("cause", WithheldCause, row.confirmed.withheld_by_cause, labels) for labels, row in labelled)
+    yield _family("topic_withheld_messages_total", _WITHHELD, chain.from_iterable(counts))

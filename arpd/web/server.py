@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import threading
 import time
 from collections import Counter
@@ -20,12 +19,11 @@ from arpd.web.access import Access, HttpCounts, client_of, exposure
 from arpd.web.documents import Documents
 from arpd.web.handlers import Site
 from arpd.web.metrics import make_registry
-from arpd.web.passwords import Passwords
-from arpd.web.web_config import web_config_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
+    from prometheus_client import Histogram
     from tornado.iostream import IOStream
 
     from arpd.model.settings import HttpSettings
@@ -53,6 +51,7 @@ class HttpServer:
     snapshot : returns the last snapshot, None before the first tick finished
     directory : folder of the configuration file, where a relative ``http.web_config`` starts
     history : the last ten minutes, None = empty
+    durations : of ticks and solves
     resting : set while no tick runs, None = there are no ticks
     clock : monotonic clock of the snapshots (s)
 
@@ -74,27 +73,20 @@ class HttpServer:
         snapshot: Callable[[], Snapshot | None],
         directory: Path = Path(),
         history: History | None = None,
+        durations: Iterable[Histogram] = (),
         resting: threading.Event | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if resting is None:
             resting = threading.Event()
             resting.set()
-        self.registry = make_registry(snapshot, clock=clock)
+        self.registry = make_registry(snapshot, clock=clock, durations=durations)
         self._http = http
-        counts = HttpCounts(self.registry)
-        self._access = Access(web_config_path(http, directory=directory), counts=counts)
-        self._site = Site(
-            documents=Documents(
-                snapshot=snapshot, history=history or History(), registry=self.registry, resting=resting, clock=clock
-            ),
-            access=self._access,
-            passwords=Passwords(clock=time.monotonic, secret=os.urandom(32)),
-            counts=counts,
-            snapshot=snapshot,
-            clock=clock,
-            host=http.host,
+        self._access = Access(http, directory=directory, counts=HttpCounts(self.registry))
+        self._documents = Documents(
+            snapshot=snapshot, history=history or History(), registry=self.registry, resting=resting, clock=clock
         )
+        self._site = Site(documents=self._documents, access=self._access)
         self.fault = ""
         self.port = 0  # while it listens
 
@@ -146,7 +138,8 @@ class HttpServer:
             self.port = 0
             server.stop()
             server.close_connections()
-            self._site.close()
+            self._documents.close()
+            self._access.close()
 
     def _listen(self, server: _Server) -> None:
         where = f"{_bracketed(self._http.host)}:{self._http.port}"
@@ -178,7 +171,7 @@ class _Server(HTTPServer):
     def initialize(self, *arguments: Any, **options: Any) -> None:
         super().initialize(*arguments, **options)
         self._clients: dict[Any, str] = {}  # by stream, oldest first
-        self._counts: HttpCounts = arguments[0].counts
+        self._counts: HttpCounts = arguments[0].access.counts
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         if len(self._clients) >= MAX_CONNECTIONS:

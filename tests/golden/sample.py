@@ -16,7 +16,6 @@ from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.report.durations import Durations
 from arpd.report.situation import find
 from arpd.report.snapshot import Snapshot, Totals
 from arpd.web.api import status_json
@@ -246,16 +245,13 @@ def make_snapshot() -> Snapshot:
             solves_by_outcome=MappingProxyType(
                 {("osqp", "solved"): 8990, ("closed_form", "solved"): 10, ("osqp", "failed"): 9}
             ),
-            cross_check_disagreements=1,
             plans_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
             refusals_by_reason=MappingProxyType({"dwell": 40}),
             applies_by_result=MappingProxyType({"ok": 6, "refused": 1}),
             probes=120,
             probe_bytes=1_440_000,
             reports=8900,
-            reloads_by_result=MappingProxyType({"ok": 2, "failed": 1}),
             events_by_kind=MappingProxyType({"started": 1, "plan": 3}),
-            durations=Durations().including([0.0078125, 3.0], [0.0, 0.0625], [0.000125]),
         ),
         config_path="/etc/arpd/arpd.yaml",
         config_error="",
