@@ -17,12 +17,12 @@ from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
-from arpd.ros.events import InvalidHandle, no_publisher_events
 from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
+from arpd.ros.rcl import InvalidHandle, no_publisher_events
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -83,6 +83,8 @@ class NodePublishers:
     thread : writes the samples of all nodes of the participant, and serves their publishers
     relay : summary to send along; None = this node is no end of a relay, or not the one that tells
     """
+
+    topic_name = PUBLISHERS_TOPIC
 
     def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
@@ -153,18 +155,14 @@ class NodePublishers:
         self._told_s, self._has_news = now_s, False
         try:
             with self._lock:
-                self._note_silence(now_s)
+                if now_s - self._heard_s > _SILENT_S:
+                    self._show_price(*self._publishers.values())
                 self._expire_plan()
             self._tell()
         except InvalidHandle:  # the node is gone; a publisher alone raises none here
             for inbox in self._inboxes:
                 inbox.destroy()
             raise
-        except Exception as error:  # noqa: BLE001 - a message that cannot be made must not end the snapshots
-            self._node.get_logger().error(
-                f"the daemon could not be told of the publishers: {error}; arpd tries again",
-                throttle_duration_sec=_WARN_EVERY_S,
-            )
         return self._tell_s
 
     @property
@@ -200,10 +198,6 @@ class NodePublishers:
         with self._lock:
             self._price = price
             self._heard_s = self._clock()
-            self._show_price(*self._publishers.values())
-
-    def _note_silence(self, now_s: float) -> None:
-        if now_s - self._heard_s > _SILENT_S:
             self._show_price(*self._publishers.values())
 
     def _warn_of_large(self, states: Iterable[PublisherState]) -> None:

@@ -25,7 +25,6 @@ from arpd.model.endpoints import (
     WriterQos,
 )
 from arpd.model.plan import keeps_its_readers
-from arpd.ros.events import InvalidHandle
 from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.ros.rmw import current_rmw
 
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 _LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
-_RETRY_S, _WARN_EVERY_S = 0.1, 5.0
 
 
 class AdaptivePublisher:
@@ -98,8 +96,6 @@ class AdaptivePublisher:
         self._node = node
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
-        self._swap_transient_local = swap_transient_local
-        self._rmw = current_rmw()
         self._overrides = without_ours(qos_overriding_options)
         self._price: Price | None = None
         self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
@@ -110,16 +106,22 @@ class AdaptivePublisher:
             overflow=overflow,
             clock=clock,
             on_swap=self._on_swap,
-            on_held=self._hurry,
+            on_held=lambda: self._thread.wake(self),
             timing=swap_timing,
             lock=threading.RLock(),
         )
         self._overrides = None  # now part of the profile; rclpy declares each only once
-        if self._is_latched and swap_transient_local:
-            self._flow.keep_history()
+        self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
+        self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
+        if words := current_rmw().refusal:
+            self._lasting_refusal = Refusal(RefusalReason.MIDDLEWARE, words)
+        elif self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL:
+            if swap_transient_local:
+                self._flow.keep_history()
+            else:
+                self._lasting_refusal = Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self._resolved} {_LATCHED}")
         self._refusal = self._clamp = NO_REFUSAL
         self._refusals = 0  # readers that refused and that a warning named
-        self._node_name = node.get_fully_qualified_name()
         self._thread = self._shared.thread
         self._thread.add(self._flow.lane)
         try:
@@ -135,20 +137,11 @@ class AdaptivePublisher:
         """Fully qualified topic name."""
         return self._resolved
 
-    @property
-    def handle(self) -> Any:
-        """Handle of the writer in force; a swap replaces it, so do not store it."""
-        return self._writer.publisher.handle
-
-    @property
-    def event_handlers(self) -> Any:
-        """Event handlers of the writer in force."""
-        return self._writer.publisher.event_handlers
-
-    @property
-    def logger_name(self) -> str:
-        """Name of the logger of the publisher's node."""
-        return str(self._writer.publisher.logger_name)
+    def __getattr__(self, name: str) -> Any:
+        """Return what else a publisher has, of the writer in force; a swap replaces it, so do not store its handle."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._writer.publisher, name)
 
     def publish(self, msg: Any) -> None:
         """Publish a message, now or when pacing allows it.
@@ -177,18 +170,6 @@ class AdaptivePublisher:
         msg : as in `publish`
         """
         self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type))
-
-    def get_subscription_count(self) -> int:
-        """Count the matched readers."""
-        return self._writer.matched()
-
-    def assert_liveliness(self) -> None:
-        """Assert that this publisher is alive (MANUAL_BY_TOPIC)."""
-        self._writer.publisher.assert_liveliness()
-
-    def wait_for_all_acked(self, timeout: Any = None) -> bool:
-        """Wait until the writer in force is fully acknowledged, as rclpy does; samples that wait do not count."""
-        return self._writer.wait_for_all_acked(timeout)
 
     def destroy(self) -> None:
         """Destroy the publisher and all its writers."""
@@ -225,11 +206,11 @@ class AdaptivePublisher:
         self._clamp = clamp if is_clamped else NO_REFUSAL
         if qos == self._flow.qos:
             self._refusal = NO_REFUSAL
-        elif (refusal := self._lasting_refusal()).words:
-            self._refusal, qos = refusal, self._flow.qos
+        elif self._lasting_refusal.words:
+            self._refusal, qos = self._lasting_refusal, self._flow.qos
         self._flow.retune(plan, qos=qos)
         self._thread.retune(self._flow.lane, plan, self._price)
-        self._hurry()
+        self._thread.wake(self)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
@@ -244,24 +225,15 @@ class AdaptivePublisher:
             return math.inf
         try:
             return self._flow.service(now_s)
-        except InvalidHandle:
-            raise
-        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
-            self._node.get_logger().error(
-                f"{self._resolved}: a swap failed: {error}; arpd tries again",
-                throttle_duration_sec=_WARN_EVERY_S,
-                skip_first=False,
-            )
-            return now_s + _RETRY_S
         finally:
             self._thread.release(self._flow.lane)
 
     def state(self) -> PublisherState:
-        """Return the settings in force, for the daemon; called about once a second."""
+        """Return the settings in force, for the daemon, and warn of readers that they refuse: about once a second."""
         refusal = self._refusal if self._refusal.words else self._clamp
         self._warn_of_refusals()
         return PublisherState(
-            node=self._node_name,
+            node=self._node.get_fully_qualified_name(),
             topic=self._resolved,
             type_name=type_name_of(self.msg_type),
             direction=Direction.LOCAL,
@@ -274,18 +246,14 @@ class AdaptivePublisher:
         )
 
     def _warn_of_refusals(self) -> None:
-        """Warn as rclpy's default callback does when a reader refuses the offered QoS."""
-        if self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None:
-            return  # the application has its own callback; reading the count would take the event from it
-        if (refusals := self._writer.refusals()) > self._refusals:
+        # As rclpy's default callback does. To read the count would take the event from a callback of the application.
+        has_callback = self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None
+        if not has_callback and (refusals := self._writer.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
                 f"{self._resolved}: a subscription requests incompatible QoS and receives nothing; "
                 f"last incompatible policy: {self._writer.refused_policy}"
             )
-
-    def _hurry(self) -> None:
-        self._thread.wake(self)
 
     def _close(self) -> None:
         self._thread.remove(self._flow.lane)
@@ -294,14 +262,6 @@ class AdaptivePublisher:
     @property
     def _writer(self) -> RosWriter:
         return self._flow.writer
-
-    @property
-    def _is_latched(self) -> bool:
-        return bool(self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL)
-
-    @property
-    def _keeps_all(self) -> bool:
-        return bool(self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL)
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
         profile = with_qos(self.qos_profile, qos)
@@ -313,28 +273,13 @@ class AdaptivePublisher:
             callback_group=self._callback_group,
             qos_overriding_options=self._overrides,
         )
-        writer = RosWriter(
-            node=self._node,
-            create=create,
-            event_callbacks=self._event_callbacks,
-            requests=self._requests,
-            in_force=self._in_force,
-        )
+        writer = RosWriter(self._node, create, self._event_callbacks, requests=self._requests, in_force=self._in_force)
         if self._overrides is not None:
             self.qos_profile = copy(profile)
         return writer
 
     def _in_force(self) -> RosWriter | None:
-        flow = getattr(self, "_flow", None)  # inside its constructor there is only the first writer
-        return None if flow is None else flow.writer
-
-    def _lasting_refusal(self) -> Refusal:
-        """Return why the writer is never replaced, no words if it may be."""
-        if words := self._rmw.refusal:
-            return Refusal(RefusalReason.MIDDLEWARE, words)
-        if self._is_latched and not self._swap_transient_local:
-            return Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self._resolved} {_LATCHED}")
-        return NO_REFUSAL
+        return self._writer if hasattr(self, "_flow") else None  # None while the first one is made
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         self._shared.hurry()

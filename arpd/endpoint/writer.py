@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from contextlib import suppress
 from copy import copy
 from typing import TYPE_CHECKING, Any
@@ -10,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
+from rclpy.executors import await_or_execute
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind, QoSReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.model.endpoints import SwapResult, WriterQos
-from arpd.ros.events import InvalidHandle, status_of
 from arpd.ros.graph import deadline_ns_of
 from arpd.ros.plan_message import checked
-from arpd.ros.rcl import rcl
+from arpd.ros.rcl import InvalidHandle, rcl, status_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from arpd.ros.graph import Requests
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
-_FOREVER = Duration(seconds=-1)  # rclpy's default
 
 
 class RosWriter:
@@ -47,10 +45,10 @@ class RosWriter:
 
     def __init__(
         self,
-        *,
         node: Node,
         create: Callable[..., Any],
         event_callbacks: PublisherEventCallbacks | None,
+        *,
         requests: Requests,
         in_force: Callable[[], RosWriter | None],
     ) -> None:
@@ -76,10 +74,6 @@ class RosWriter:
         """Return whether every sample written was acknowledged."""
         # A longer timeout would block the pacing thread (docs/design.md, DDS facts).
         return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
-
-    def wait_for_all_acked(self, timeout: Duration | None) -> bool:
-        """Wait until every sample written was acknowledged; None = as long as it takes."""
-        return bool(self.publisher.wait_for_all_acked(_FOREVER if timeout is None else timeout))
 
     def readers_acknowledge(self) -> bool:
         """Return whether the readers acknowledge what arrives."""
@@ -112,30 +106,21 @@ class RosWriter:
         self._node.destroy_publisher(self.publisher)
 
     def _filtered(self, callbacks: PublisherEventCallbacks | None) -> PublisherEventCallbacks:
-        """Return the application's callbacks, each silent unless this writer is current."""
         # No default callbacks: the executor would check each of them in every turn, only to log a warning.
         filtered = PublisherEventCallbacks(use_default_callbacks=False)
         for name in _EVENTS:
-            callback = getattr(callbacks, name, None)
-            if callback is not None:
+            if (callback := getattr(callbacks, name, None)) is not None:
                 setattr(filtered, name, self._passing_on(callback, is_deadline=name == "deadline"))
         return filtered
 
     def _passing_on(self, callback: Callable[[Any], Any], *, is_deadline: bool) -> Callable[[Any], Any]:
-        def may_hear(event: Any) -> bool:
+        async def pass_on(event: Any) -> None:
             if is_deadline:
                 self._missed = int(event.total_count)  # `status_of` would take the event from the application
-            return self._in_force() in {self, None}
+            if self._in_force() in {self, None}:
+                await await_or_execute(callback, event)
 
-        def pass_on(event: Any) -> None:
-            if may_hear(event):
-                callback(event)
-
-        async def pass_on_later(event: Any) -> None:
-            if may_hear(event):
-                await callback(event)
-
-        return pass_on_later if inspect.iscoroutinefunction(callback) else pass_on
+        return pass_on
 
 
 def swap_failure(result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:

@@ -219,7 +219,7 @@ class WriterSwap(Generic[W]):
         try:
             self._next = self._create(qos)
         except Exception:  # noqa: BLE001 - the middleware may raise anything, and the old writer stays
-            self._finish(SwapResult.FAILED, qos, now_s)
+            self._finish(SwapResult.FAILED, qos)
             return
         self._next_qos = qos
         self._enter(SwapState.MATCHING, now_s)
@@ -236,8 +236,7 @@ class WriterSwap(Generic[W]):
             self._seconds[self.state.value] += max(0.0, now_s - self._entered_s)
         self.state, self._since_s, self._entered_s = state, now_s, max(now_s, self._entered_s)
 
-    def _finish(self, result: SwapResult, qos: WriterQos, now_s: float) -> None:
-        self._enter(SwapState.IDLE, now_s)
+    def _finish(self, result: SwapResult, qos: WriterQos) -> None:
         self.last = SwapRecord(
             number=self.begun,
             result=result.value,
@@ -318,8 +317,9 @@ class WriterSwap(Generic[W]):
         self._draining.append(_Draining(writer=self._current, qos=self._qos, since_s=now_s))
         self._current, self._qos = self._next, self._next_qos
         self._next = None
+        self._enter(SwapState.IDLE, now_s)
         is_ordered = not (self._is_late or self._is_doubted)
-        self._finish(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos, now_s)
+        self._finish(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos)
 
     def _retire(self, now_s: float) -> None:
         for old in tuple(self._draining):
@@ -352,7 +352,7 @@ class WriterSwap(Generic[W]):
         refused = self._next_qos
         self._enter(SwapState.IDLE, now_s)
         self._abandon_next()
-        self._finish(result, refused, now_s)
+        self._finish(result, refused)
 
     def _abandon_next(self) -> None:
         abandoned, self._next, self.state = self._next, None, SwapState.IDLE

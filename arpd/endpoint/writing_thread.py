@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from rclpy.logging import get_logger
 
 from arpd.endpoint.lane import SMALL_BYTES
-from arpd.ros.events import InvalidHandle
+from arpd.ros.rcl import InvalidHandle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-_WARN_EVERY_S = 5.0
+_RETRY_S, _WARN_EVERY_S = 0.1, 5.0
 _IDLE_S = 1.0  # most between two turns, for the watchdog
 _BLOCKED_S = 0.05  # a scheduler takes less
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
@@ -29,6 +29,10 @@ _SHUN = 20.0  # times the duration of the write, so that writes block a caller f
 
 class Turn(Protocol):
     """Who wants to be called now and then."""
+
+    @property
+    def topic_name(self) -> str:
+        """Topic that it serves."""
 
     def service(self, now_s: float) -> float:
         """Do what is due; return when to call again, ``inf`` = not before `WritingThread.wake` (s)."""
@@ -198,10 +202,20 @@ class WritingThread:
         return took_s
 
     def _serve(self, turn: Turn) -> None:
-        due_s = turn.service(self._clock())
+        try:
+            due_s = turn.service(self._clock())
+        except InvalidHandle:
+            return  # it has just been destroyed
+        except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
+            self._say(f"{turn.topic_name}: {error}; arpd tries again")
+            due_s = self._clock() + _RETRY_S
         with self._lock:
             if due_s < self._turns.get(turn, math.inf):
                 self._turns[turn] = due_s
+
+    @staticmethod
+    def _say(words: str) -> None:
+        get_logger("arpd").error(words, throttle_duration_sec=_WARN_EVERY_S, skip_first=False)
 
     def _wake(self, by_s: float) -> None:
         if by_s < self._next_s:
@@ -229,12 +243,8 @@ class WritingThread:
                 act()
             except InvalidHandle:
                 continue  # what it was for has just been destroyed
-            except Exception as error:  # noqa: BLE001 - one topic's failure must not stop the others
-                get_logger("arpd").error(
-                    f"a write failed: {error}; the next one follows",
-                    throttle_duration_sec=_WARN_EVERY_S,
-                    skip_first=False,
-                )
+            except Exception as error:  # noqa: BLE001 - as above
+                self._say(f"a write failed: {error}; the next one follows")
             self.finished_s = self._clock()
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:

@@ -263,17 +263,3 @@ def _is_running(name: str) -> bool:
         return bool(_read_flags(name) & _RUNNING)
     except OSError:
         return False
-
-
-def read_speed(name: str, *, sys_net: Path = _SYS_NET) -> float | None:
-    """Return the nominal rate of an interface, None if it has none (bytes/s).
-
-    Only hardware counts: a tunnel reports 10 Mbit/s over any link, and a radio reports nothing.
-    """
-    if not (sys_net / name / "device").exists():
-        return None
-    try:
-        stats = psutil.net_if_stats().get(name)
-    except OSError:  # the interface vanished while psutil asked, or this system does not pass the question on
-        return None
-    return stats.speed * 1e6 / 8 if stats is not None and stats.speed > 0 else None

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from arpd.ros.attached import attached
-from arpd.ros.events import InvalidHandle
 from arpd.ros.graph import Endpoint, readers_of, writers_of
-from arpd.ros.rcl import rcl
+from arpd.ros.rcl import InvalidHandle, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -5,14 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from arpd.model.quantities import printable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _ROS = Path("/opt/ros")
 SYSTEM_PYTHON = Path("/usr/bin/python3")
@@ -34,7 +30,7 @@ except ImportError:
     pass
 try:
     found = importlib.util.find_spec("rclpy")
-    tell(rclpy=found.origin if found else "")
+    tell(rclpy=(found and found.origin) or "")
     import rclpy
     from rclpy.utilities import get_rmw_implementation_identifier
     tell(rmw=get_rmw_implementation_identifier())
@@ -49,17 +45,17 @@ except BaseException as error:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PythonRos:
-    """ROS as one Python sees it.
+    """ROS as one Python sees it; an empty text is what is not there, or not known.
 
     Parameters
     ----------
     python : path of the interpreter
-    rclpy : file of rclpy, which may not work, empty = there is none
-    numpy, numpy_file : version and file of numpy, empty = there is none
-    venv : folder of the virtual environment, empty = the interpreter has none
-    rmw : identifier of the middleware, empty = not known
-    fault : why ROS does not work there, empty if it does
-    silence : why the interpreter did not answer at all, empty if it did
+    rclpy : file of rclpy, which may not work
+    numpy, numpy_file : version and file of numpy
+    venv : folder of the virtual environment
+    rmw : identifier of the middleware
+    fault : why ROS does not work there
+    silence : why the interpreter did not answer at all
     """
 
     python: str
@@ -72,35 +68,30 @@ class PythonRos:
     silence: str = ""
 
 
-def _run(python: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(  # noqa: S603 - an interpreter of this computer and a constant
-        [python, "-c", _PROBE], capture_output=True, text=True, check=False, timeout=_TIMEOUT_S, cwd="/"
-    )
-
-
-def read_ros(
-    python: str = sys.executable, *, run: Callable[[str], subprocess.CompletedProcess[str]] = _run
-) -> PythonRos:
-    """Return what an interpreter finds, in the environment of this process.
-
-    Parameters
-    ----------
-    run : lets the interpreter try; its output has a JSON object in each line, and the last one counts
-    """
+def read_ros(python: str = sys.executable) -> PythonRos:
+    """Return what an interpreter finds, in the environment of this process."""
+    command = [python, "-c", _PROBE]
     try:
-        done = run(python)
-    except (OSError, subprocess.SubprocessError) as error:
-        return PythonRos(
-            python=python, silence=f"{python} did not answer ({printable(str(error), longest=_MOST_FAULT)})"
+        done = subprocess.run(  # noqa: S603 - an interpreter of this computer and a constant
+            command, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S, cwd="/"
         )
-    facts = _last(done.stdout)
-    found = {each.name: str(facts.get(each.name) or "") for each in fields(PythonRos)}
-    fault = found["fault"]
-    if not fault and not facts.get("works"):
+    except (OSError, subprocess.SubprocessError) as error:
+        why = printable(str(error), longest=_MOST_FAULT)
+        return PythonRos(python=python, silence=f"{python} did not answer ({why})")
+    return understood(python, done)
+
+
+def understood(python: str, done: subprocess.CompletedProcess[str]) -> PythonRos:
+    """Return what an interpreter has printed: an object of JSON in each line, of which the last one counts."""
+    try:
+        facts = dict(json.loads(done.stdout.splitlines()[-1]))
+    except (IndexError, TypeError, ValueError):
+        facts = {}
+    if not facts.pop("works", False) and not facts.get("fault"):
         said = [line for line in done.stderr.splitlines() if line.strip()]
-        fault = ": ".join([f"it ended with status {done.returncode}", *said[-1:]])
-    found |= {"python": python, "fault": printable(" ".join(fault.split()), longest=_MOST_FAULT)}
-    return PythonRos(**found)
+        facts["fault"] = ": ".join([f"it ended with status {done.returncode}", *said[-1:]])
+    fault = printable(" ".join(facts.pop("fault", "").split()), longest=_MOST_FAULT)
+    return PythonRos(python=python, fault=fault, **facts)
 
 
 def installed_distros(folder: Path = _ROS) -> list[str]:
@@ -109,11 +100,3 @@ def installed_distros(folder: Path = _ROS) -> list[str]:
         return sorted(path.name for path in folder.iterdir() if (path / "setup.bash").exists())
     except OSError:
         return []
-
-
-def _last(output: str) -> dict[str, Any]:
-    try:
-        found = json.loads(output.splitlines()[-1])
-    except (IndexError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}

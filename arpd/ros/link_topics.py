@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.link_topics import LinkTopic
@@ -21,11 +21,10 @@ _RELAYS = "arpd_relay"  # names of its nodes begin so, unless the user gives ano
 _OWN_NODES = frozenset({"/arpd", "/arpd_peer"})  # what the daemon and the peer publish is no traffic of the robot
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class FoundTopic:
     """One topic with all its endpoints, without those of this process."""
 
-    name: str
     types: tuple[str, ...]
     writers: tuple[Endpoint, ...]
     readers: tuple[Endpoint, ...]
@@ -50,14 +49,11 @@ def cannot_tell_hosts(rmw: Rmw, environment: Mapping[str, str] = os.environ) -> 
 class LinkGraph:
     """The topics of a graph, and the sides of their endpoints.
 
-    Parameters
-    ----------
-    view : the graph
-    rmw : the middleware; where it tells no hosts, no endpoint is on this one, unless this process sees no other
+    Where the middleware tells no hosts, no endpoint is on this one, unless this process sees no other.
     """
 
     def __init__(self, view: GraphView, rmw: Rmw) -> None:
-        self._view, self._rmw = view, rmw
+        self.view, self._rmw = view, rmw
         self._is_confined = is_confined()
         self._relays: frozenset[bytes] = frozenset()  # processes on this host; their ghosts stand for nodes beyond
         self._topics: dict[str, FoundTopic] = {}
@@ -68,50 +64,42 @@ class LinkGraph:
 
     def look(self) -> bool:
         """Read the graph; return whether its topics have changed. A topic that left stays as it was."""
-        if self._changes == (changes := self._view.look()):
+        if self._changes == (changes := self.view.look()):
             return False
-        before, self._changes, view = self._topics, changes, self._view
-        found = (
-            FoundTopic(
-                name=name,
-                types=tuple(sorted(types)),
-                writers=self._others(view.writers(name)),
-                readers=self._others(view.readers(name)),
-            )
+        before, self._changes, view = self._topics, changes, self.view
+        found = {
+            name: FoundTopic(tuple(sorted(types)), self._others(view.writers(name)), self._others(view.readers(name)))
             for name, types in view.types.items()
             if is_full_name(name)
-        )
-        self._topics = before | {topic.name: topic for topic in found if topic.writers or topic.readers}
+        }
+        self._topics = before | {name: topic for name, topic in found.items() if topic.writers or topic.readers}
         relays = (each for each in view.writers(ON_EVERY_NODE) if each.node.rpartition("/")[2].startswith(_RELAYS))
         self._relays = frozenset(each.participant for each in relays if self._is_here(each))
         return self._topics != before
 
     def topics(self, *, prefix: str) -> list[LinkTopic]:
-        """Return every topic, sorted by name, with the sides of its endpoints.
-
-        Parameters
-        ----------
-        prefix : under which a relay with one end republishes topics; empty = there is none
-        """
+        """Return every topic, sorted by name, with the sides of its endpoints; the prefix is that of `TopicSurvey`."""
         found = self._topics
         outputs = {name: prefix + name for name in found if prefix and self._is_output(found.get(prefix + name))}
         topics = []
         for name in sorted(found.keys() - set(outputs.values())):
             topic = found[name]
-            sorted_topic = LinkTopic(
-                name=name,
-                types=topic.types,
-                writers=_names(filter(self._is_ours, topic.writers)),
-                readers=_names(filter(self._is_ours, topic.readers)),
-                far_writers=_names(each for each in topic.writers if not self._is_ours(each)),
-                far_readers=_names(each for each in topic.readers if not self._is_ours(each)),
-                is_latched=any(endpoint.is_latched for endpoint in topic.writers or topic.readers),
-            )
+            far_readers = [each for each in topic.readers if not self._is_ours(each)]
             if name in outputs:
-                readers = (*topic.readers, *found[outputs[name]].readers)
-                beyond = _names(each for each in readers if not self._is_here(each))
-                sorted_topic = replace(sorted_topic, relayed_as=outputs[name], far_readers=beyond)
-            topics.append(sorted_topic)
+                all_readers = (*topic.readers, *found[outputs[name]].readers)
+                far_readers = [each for each in all_readers if not self._is_here(each)]
+            topics.append(
+                LinkTopic(
+                    name=name,
+                    types=topic.types,
+                    writers=_names(filter(self._is_ours, topic.writers)),
+                    readers=_names(filter(self._is_ours, topic.readers)),
+                    far_writers=_names(each for each in topic.writers if not self._is_ours(each)),
+                    far_readers=_names(far_readers),
+                    is_latched=any(endpoint.is_latched for endpoint in topic.writers or topic.readers),
+                    relayed_as=outputs.get(name, ""),
+                )
+            )
         return topics
 
     def obstacle(self, name: str) -> str:
@@ -123,27 +111,25 @@ class LinkGraph:
             return f"it has {len(topic.types)} types: {', '.join(topic.types)}"
         if not all(map(self._is_here, topic.writers)):
             return "it comes from beyond this host, and measuring would bring it over the link once more"
-        if any(map(self._is_relayed, topic.writers)) and not any(map(self._is_ours, topic.readers)):
+        if not (all(map(self._is_ours, topic.writers)) or any(map(self._is_ours, topic.readers))):
             return "it would cross the link only to be measured: nobody here reads it"
         return ""
 
     def _others(self, endpoints: Iterable[Endpoint]) -> tuple[Endpoint, ...]:
-        own = self._view.own.participant
+        own = self.view.own.participant
         return tuple(each for each in endpoints if each.participant != own and each.node not in _OWN_NODES)
 
     def _is_here(self, endpoint: Endpoint) -> bool:
-        return self._is_confined or (self._rmw.tells_hosts and endpoint.host == self._view.own.host)
-
-    def _is_relayed(self, endpoint: Endpoint) -> bool:
-        return endpoint.participant in self._relays
+        return self._is_confined or (self._rmw.tells_hosts and endpoint.host == self.view.own.host)
 
     def _is_ours(self, endpoint: Endpoint) -> bool:
         """Return whether it belongs to a node of this host; a relay's ghosts do not."""
-        return self._is_here(endpoint) and not self._is_relayed(endpoint)
+        return self._is_here(endpoint) and endpoint.participant not in self._relays
 
     def _is_output(self, topic: FoundTopic | None) -> bool:
         """Return whether a relay on this host alone writes it."""
-        return topic is not None and bool(topic.writers) and all(map(self._is_relayed, topic.writers))
+        writers = topic.writers if topic else ()
+        return bool(writers) and all(each.participant in self._relays for each in writers)
 
 
 def _names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ class Peer:
     Parameters
     ----------
     publish : sends an encoded report
-    reader : reads the link interface of this host
+    reader : of the link interface of this host
     name : name of the peer in its reports
     clock : monotonic clock (s)
     """
@@ -58,10 +58,7 @@ class Peer:
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._publish = publish
-        self._reader = reader
-        self._name = name
-        self._clock = clock
+        self._publish, self._reader, self._name, self._clock = publish, reader, name, clock
         self._receiver = Receiver()
         self._schedule = ReportSchedule(clock())
         self._counters = reader.read()
@@ -97,7 +94,9 @@ class Peer:
     def _look(self, now_s: float) -> None:
         schedule, before = self._schedule, self._counters
         after = self._reader.read() or before
-        rx_bytes = after.rx_bytes - before.rx_bytes if after and before else 0
+        rx_bytes = rx_packets = 0
+        if after and before:
+            rx_bytes, rx_packets = after.rx_bytes - before.rx_bytes, after.rx_packets - before.rx_packets
         schedule.note_traffic(rx_bytes)
         if now_s < schedule.due_s:
             self._due_s = schedule.due_s
@@ -109,7 +108,7 @@ class Peer:
                 received_at_s=now_s,
                 interval_s=min(interval_s, _LONGEST_S),
                 rx_bytes=rx_bytes,
-                rx_packets=after.rx_packets - before.rx_packets if after and before else 0,
+                rx_packets=rx_packets,
                 delays_s=delays_s,
                 trains=trains,
                 last_probe=self._receiver.last_probe,
@@ -137,22 +136,16 @@ def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[
 
 
 class ProbeStatus:
-    """Status line of a peer for `systemctl status`: whether a daemon's probes arrive, and since when.
-
-    Parameters
-    ----------
-    task : task of the peer, in words
-    tell : called with the line at the start and whenever it changes
-    """
+    """Status line of a peer for `systemctl status`: whether a daemon's probes arrive, and since when."""
 
     def __init__(self, task: str, *, tell: Callable[[str], None]) -> None:
         self._task, self._tell = task, tell
         self._has_probes = False
         tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
 
-    def update(self, *, probed_s: float, now_s: float) -> None:
-        """Update the line from the time of the last probe (s)."""
-        if (has_probes := now_s - probed_s < _QUIET_S) != self._has_probes:
+    def update(self, probed_s: float) -> None:
+        """Tell the line again if it has changed since the last probe (monotonic clock, s)."""
+        if (has_probes := time.monotonic() - probed_s < _QUIET_S) != self._has_probes:
             self._has_probes = has_probes
             seen = "probes arrive" if has_probes else "no probes"
             self._tell(f"{self._task}; {seen} since {time.strftime('%Y-%m-%d %H:%M:%S')}")
@@ -202,7 +195,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
             stopping,
             heartbeat=Watchdog(notifier, parts=[lambda: thread.finished_s]),
             addresses=addresses,
-            step=lambda: status.update(probed_s=peer.probed_s, now_s=time.monotonic()),
+            step=lambda: status.update(peer.probed_s),
         )
         notifier.stopping()
     return 0

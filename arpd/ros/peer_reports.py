@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from dataclasses import replace
@@ -20,16 +19,13 @@ _MOST_PEERS = 32
 _SILENT_S, FORGOTTEN_S = 10.0, 60.0  # then another peer may take its place; a scrape or two must see its age grow
 _NUMBERS = 2**32  # of probe numbers, on the wire
 _LATELY = 1000  # probes: 100 s and more
-_MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
-_RADIO_S, _RADIO_MARGIN = 60.0, 2.0  # the bit rate of a radio changes with every packet, and is low while it idles
 
 
 class PeerReports:
     """Keeps the reports that answer a probe of this daemon, from no more peers than the graph shows; for any thread.
 
     Probe numbers start at a random number, so only a receiver of the probes can answer them. While none was sent,
-    because the capacity is pinned, there is nothing to answer. No report exceeds what the
-    interface states, or twice the best bit rate that the radio had in the last minute.
+    because the capacity is pinned, there is nothing to answer.
 
     Parameters
     ----------
@@ -41,8 +37,6 @@ class PeerReports:
         self._base = base
         self._newest = 0
         self._most_peers = _MOST_PEERS
-        self._interface = math.inf
-        self._radio: deque[tuple[float, float]] = deque()
         self._heard_s: dict[str, float] = {}  # when each reported last
         self._clocks = PeerClocks()
         self._waiting: deque[PeerReport] = deque(maxlen=200)  # for a tick
@@ -57,23 +51,8 @@ class PeerReports:
         """Note how many peers the graph shows; so many names are admitted, known ones first."""
         self._most_peers = min(_MOST_PEERS, max(1, peers))
 
-    def bound(self, now_s: float, *, interface: float | None, radio: float | None) -> None:
-        """Note the rates that interface and radio state now; None = nothing (bytes/s)."""
-        with self._lock:
-            self._interface = interface or math.inf
-            if radio:
-                self._radio.append((now_s, radio))
-            while self._radio and now_s - self._radio[0][0] > _RADIO_S:
-                self._radio.popleft()
-
-    @property
-    def ceiling(self) -> float:
-        """Most that a report may say (bytes/s)."""
-        radio = max((rate for _, rate in self._radio), default=math.inf)
-        return min(_MOST_BYTES_PER_SECOND, self._interface, _RADIO_MARGIN * radio)
-
     def note(self, report: PeerReport, *, must_answer: bool = True) -> MessageRefusal | None:
-        """Keep the part of a report to believe, with our own number of its probe; return why it is refused.
+        """Keep a report, with our own number of its probe, or return why it is refused.
 
         Parameters
         ----------
@@ -89,17 +68,7 @@ class PeerReports:
             if report.peer not in lately and len(lately) >= self._most_peers:
                 return MessageRefusal.QUOTA
             self._heard_s[report.peer] = now_s
-            ceiling = self.ceiling
-            trains = (
-                replace(train, duration_s=max(train.duration_s, train.payload_bytes / ceiling))
-                for train in report.trains
-            )
-            believed = replace(
-                report,
-                last_probe=answered if is_answer else 0,
-                rx_bytes=min(report.rx_bytes, int(ceiling * report.interval_s)),
-                trains=tuple(trains),
-            )
+            believed = replace(report, last_probe=answered if is_answer else 0)
             self._waiting.append(believed)
             self._clocks.note(believed)
         return None

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.model.plan import NO_PLAN
-from arpd.ros.events import no_publisher_events
 from arpd.ros.names import PLAN_TOPIC
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
+from arpd.ros.rcl import no_publisher_events
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

@@ -25,6 +25,7 @@ _MOST_INTERVAL_S = 60.0  # no report covers a longer one
 _MOST_DELAY_S = 1e10  # two clocks differ by less, even when one of them was never set
 _MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its benchmark a hundred
 _MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
+_MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
 MOST_REPORT_BYTES = 1024  # of a serialized report
 
 
@@ -112,6 +113,7 @@ def decode_report(data: bytes) -> PeerReport:
     # Written so that NaN fails too.
     is_possible = (
         0 < interval_s < _MOST_INTERVAL_S
+        and rx_bytes <= _MOST_BYTES_PER_SECOND * interval_s
         and all(abs(delay) < _MOST_DELAY_S for delay in delays)
         and all(_is_possible(train) for train in trains)
     )
@@ -135,5 +137,5 @@ def _is_possible(train: Train) -> bool:
         0 <= train.duration_s < _MOST_INTERVAL_S
         and 0 <= train.sent_s < _MOST_INTERVAL_S
         and train.packets <= _MOST_PACKETS
-        and train.payload_bytes <= _MOST_PACKETS * _MOST_PACKET_BYTES
+        and (train.payload_bytes <= _MOST_BYTES_PER_SECOND * train.duration_s or not train.duration_s)
     )

@@ -1,4 +1,4 @@
-"""Judges the Fast DDS profile of this process: arpd needs short heartbeats, and parts that fit a packet."""
+"""The Fast DDS profile of this process: arpd needs short heartbeats, and parts that fit a packet."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import threading
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree as ET
 
 from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
 INSTALLED_PROFILE = Path("/usr/share/arpd/fastdds.xml")
 _IN_FOLDER = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")  # Fast DDS reads these, too
-_LONGEST_HEARTBEAT_S = 0.5
-_MOST_MESSAGE_BYTES = 1472  # with UDP and IP an Ethernet packet
+# A transport has an element for its size of messages, writers and participants a property.
+_SETTINGS = {
+    "heartbeat period": ["<heartbeatPeriod>"],
+    "size of messages": ["maxMessageSize", "fastdds.max_message_size"],
+}
 _WITHOUT = (
     "this process publishes without arpd's Fast DDS profile ({why}): swaps take longer, and a link that loses packets "
     "loses most large samples; set it before the process starts: {line}"
@@ -38,22 +40,18 @@ def profile_line(installed: Path = INSTALLED_PROFILE) -> str:
 def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
     """Return what the profiles that Fast DDS reads do not set, in words; empty if they set all.
 
-    A profile of the user's own is as good as arpd's if it has both settings.
+    A profile of the user's own is as good as arpd's if it has both settings, whatever their values.
 
     Parameters
     ----------
     environment, folder : environment and working directory of the process
     """
     named = [Path(environment[name]) for name in PROFILE_VARIABLES if environment.get(name)]
-    read = {path: root for path in (*named, *map(folder.joinpath, _IN_FOLDER)) if (root := _parsed(path)) is not None}
+    read = {path: text for path in (*named, *map(folder.joinpath, _IN_FOLDER)) if (text := _text(path))}
     if not read:
         return f"{named[0]} cannot be read" if named else f"{PROFILE_VARIABLES[0]} is not set"
-    wanting = []
-    if not any(_period_s(each) <= _LONGEST_HEARTBEAT_S for each in _all(read, "heartbeatPeriod")):
-        wanting.append(f"no heartbeat period up to {_LONGEST_HEARTBEAT_S:g} s")
-    if not any(size <= _MOST_MESSAGE_BYTES for size in _message_sizes(read)):
-        wanting.append(f"no messages up to {_MOST_MESSAGE_BYTES} bytes")
-    return f"{next(iter(read))} sets {' and '.join(wanting)}" if wanting else ""
+    wanting = [words for words, names in _SETTINGS.items() if not any(map("\n".join(read.values()).count, names))]
+    return f"{next(iter(read))} sets no {' and no '.join(wanting)}" if wanting else ""
 
 
 @cache
@@ -74,36 +72,8 @@ def warn_once(logger: Any, missing: str) -> None:
         logger.warning(_WITHOUT.format(why=missing, line=profile_line()))
 
 
-def _parsed(path: Path) -> ET.Element | None:
+def _text(path: Path) -> str:
     try:
-        return ET.fromstring(path.read_bytes())  # noqa: S314 - the user's own file, which Fast DDS reads, too
-    except (OSError, ValueError, LookupError, ET.ParseError):  # also an encoding that nobody knows
-        return None
-
-
-def _all(read: Mapping[Path, ET.Element], name: str) -> Iterator[ET.Element]:
-    """Yield all elements of a name, whatever their namespace."""
-    for root in read.values():
-        yield from root.iterfind(f".//{{*}}{name}")
-
-
-def _number(text: str | None) -> float:
-    """Return a number; infinite where it is none, such as DURATION_INFINITY."""
-    try:
-        return float(text or "inf")
-    except ValueError:
-        return float("inf")
-
-
-def _period_s(period: ET.Element) -> float:
-    """Return a DurationType (s)."""
-    return _number(period.findtext("{*}sec", "0")) + _number(period.findtext("{*}nanosec", "0")) / 1e9
-
-
-def _message_sizes(read: Mapping[Path, ET.Element]) -> Iterator[float]:
-    """Yield the limits of RTPS messages: transports have an element, writers and participants a property."""
-    for element in _all(read, "maxMessageSize"):
-        yield _number(element.text)
-    for each in _all(read, "property"):
-        if (each.findtext("{*}name") or "").strip() == "fastdds.max_message_size":
-            yield _number(each.findtext("{*}value"))
+        return path.read_text(errors="replace")
+    except (OSError, ValueError):
+        return ""

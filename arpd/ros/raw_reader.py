@@ -25,8 +25,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
 from arpd.ros.attached import attached
-from arpd.ros.events import InvalidHandle
-from arpd.ros.rcl import MessageInfo, rcl
+from arpd.ros.rcl import InvalidHandle, MessageInfo, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.qos import QoSProfile
 
@@ -65,10 +65,9 @@ class TopicSurvey:
         self._on_progress = on_progress
         self._clock = clock
         self._sleep = sleep
-        self._view = GraphView.of(node)
         self._rmw = current_rmw()
         self._blind = cannot_tell_hosts(self._rmw)
-        self._graph = LinkGraph(self._view, self._rmw)
+        self._graph = LinkGraph(GraphView.of(node), self._rmw)
         self._running: dict[str, tuple[TopicMeter, RawReader]] = {}
         self._traffic: dict[str, TopicTraffic] = {}  # of topics of which enough is known
         self._reasons: dict[str, str] = {}
@@ -98,14 +97,14 @@ class TopicSurvey:
         self._on_progress(0.0, "looking for nodes")
         begun_s = changed_s = self._clock()
         while (now_s := self._clock()) - begun_s < _LONGEST_DISCOVERY_S:
-            if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S + self._view.rest_s:
+            if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S + self._graph.view.rest_s:
                 break
             if self._graph.look():
                 changed_s = self._clock()
             self._sleep(_LOOK_S)
 
     def _measure(self, seconds: float) -> None:
-        """Measure for a while, also topics that appear meanwhile; without a topic there is nothing to wait for."""
+        """Measure also topics that appear meanwhile; without a topic there is nothing to wait for."""
         begun_s = self._clock()
         look_s = begun_s + _LOOK_AGAIN_S
         self._begin_all()
@@ -136,19 +135,18 @@ class TopicSurvey:
         if not self._rmw.is_fast_dds:
             return f"{self._rmw.name} does not number samples, which measuring needs"
         topic = self._graph[name]
-        is_latched = any(writer.is_latched for writer in topic.writers)
         # A reader gets nothing from a writer that offers less than it asks, and a history only if it is reliable.
         keeps = all(writer.is_latched and writer.is_reliable for writer in topic.writers)
         qos = QoSProfile(depth=_DEPTH, **policies_of(is_reliable=keeps, is_latched=keeps))
-        now_s = self._clock()
-        meter = TopicMeter(rated_from_s=now_s + _HISTORY_S if is_latched else now_s)
+        has_history = any(writer.is_latched for writer in topic.writers)
+        meter = TopicMeter(rated_from_s=self._clock() + _HISTORY_S * has_history)
 
         def deliver(sample: Sample) -> None:
             meter.add(writer=sample.writer, number=sample.sequence, size_bytes=len(sample.data), at_s=self._clock())
 
         try:
-            message: Any = message_class(topic.types[0])
-            reader = RawReader(self._node, message, name, qos, deliver=deliver, thread=self._thread)
+            kind = message_class(topic.types[0])
+            reader = RawReader(self._node, kind, name, qos, deliver=deliver, thread=self._thread)
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             return " ".join(str(fault).split())
         self._running[name] = meter, reader

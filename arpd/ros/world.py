@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.host.interface import InterfaceReader, MemoryReader, read_speed
+from arpd.host.interface import InterfaceReader, MemoryReader
 from arpd.host.radio import Radio
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
-from arpd.ros.events import InvalidHandle
 from arpd.ros.graph_view import GraphView
 from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
@@ -32,7 +31,7 @@ from arpd.ros.plan_sender import PlanSender
 from arpd.ros.price_message import encode_price
 from arpd.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
 from arpd.ros.raw_reader import ReadingThread
-from arpd.ros.rcl import rcl
+from arpd.ros.rcl import InvalidHandle, rcl
 from arpd.ros.rmw import current_rmw
 from arpd.ros.snapshot_decoder import decode_snapshot
 
@@ -271,4 +270,3 @@ class RosControl:
 
     def _read_radio(self) -> None:
         self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
-        self._reports.bound(self._clock(), interface=read_speed(self._reader.name), radio=self._radio_rate)

@@ -23,11 +23,11 @@ pytestmark = pytest.mark.ros
 OTHER = Rmw(name="rmw_cyclonedds_cpp")
 
 
-def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros):
+def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros, monkeypatch):
     """A new rate is in force at once, the depth stays, and the announcement says why."""
     assert current_rmw().is_fast_dds
+    monkeypatch.setattr("arpd.endpoint.publisher.current_rmw", lambda: OTHER)
     publisher = AdaptivePublisher(ros.node("talker"), String, "/x", 10)
-    publisher._rmw = OTHER
     publisher.retune(replace(publisher.plan, depth=20, rate_hz=3.0))
     state = publisher.state()
     assert (state.depth, state.rate_hz) == (10, 3.0)

@@ -28,10 +28,9 @@ from arpd.relay.ends.survey import Survey
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line, topics_of
-from arpd.ros.events import no_publisher_events
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
-from arpd.ros.rcl import rcl
+from arpd.ros.rcl import no_publisher_events, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping

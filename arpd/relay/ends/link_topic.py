@@ -18,10 +18,9 @@ from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.outgoing import Carried, Outgoing
 from arpd.relay.envelope import Record, pack
 from arpd.relay.sets import Sets
-from arpd.ros.events import no_publisher_events
 from arpd.ros.graph import type_name_of
 from arpd.ros.graph_view import GraphView
-from arpd.ros.rcl import rcl
+from arpd.ros.rcl import no_publisher_events, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping

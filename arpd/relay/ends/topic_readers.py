@@ -14,9 +14,9 @@ from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.survey import WriterClass
 from arpd.relay.ends.types import MOST_BYTES, held_depth
-from arpd.ros.events import InvalidHandle, status_of
 from arpd.ros.graph import policies_of
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.ros.rcl import InvalidHandle, status_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -7,11 +7,7 @@ import sys
 
 import pytest
 
-from arpd.ros.installation import read_ros
-
-
-def ended(output, code=0):
-    return lambda python: subprocess.CompletedProcess([python], code, stdout=output, stderr="")
+from arpd.ros.installation import read_ros, understood
 
 
 @pytest.mark.parametrize(
@@ -27,7 +23,7 @@ def ended(output, code=0):
 )
 def test_the_last_line_counts_also_of_a_process_that_crashed(output, code, rclpy, fault):
     """So that a crash inside numpy still shows its version."""
-    found = read_ros("python", run=ended(output, code))
+    found = understood("python", subprocess.CompletedProcess([], code, stdout=output, stderr=""))
     assert (found.rclpy, found.fault) == (rclpy, fault)
 
 

@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 
 from arpd.estimate.receiver import QUIET_S
 from arpd.model.interface import InterfaceState, LinkCounters
-from arpd.ros.peer import Peer, ProbeStatus, default_name
+from arpd.ros.peer import Peer, default_name
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.raw_reader import Sample
 
@@ -79,15 +79,6 @@ def world():
     return World()
 
 
-def test_a_ping_may_ask_for_fewer_reports(world):
-    """Reports without a cause are as rare as the last ping allowed."""
-    world.ping(quiet_s=1.0)
-    world.pass_time(0.5)
-    assert len(world.collect(10.0)) == 10
-    world.ping()
-    assert len(world.collect(10.0)) == pytest.approx(40, abs=1)
-
-
 def test_every_byte_and_every_moment_is_reported_once(world):
     """Received bytes and time are split over the reports without gap or overlap."""
     reports = world.collect(20.0, every_s=0.1)
@@ -115,18 +106,3 @@ def test_two_peers_tell_themselves_apart(monkeypatch):
     monkeypatch.setattr("arpd.ros.peer.hardware_address", addresses.__getitem__)
     monkeypatch.setattr("arpd.ros.peer.platform.node", lambda: "base")
     assert [default_name(interface) for interface in addresses] == ["base-3f2a", "base-c001", "base"]
-
-
-def test_the_status_of_a_peer_tells_whether_probes_arrive():
-    """The status changes at the first probe, after five seconds without one, and when probes return."""
-    said: list[str] = []
-    status = ProbeStatus("reporting", tell=said.append)
-    status.update(probed_s=-float("inf"), now_s=0.0)
-    for probed_s, now_s in ((10.0, 10.1), (14.0, 15.0), (15.0, 20.0), (15.0, 21.0), (30.0, 30.0)):
-        status.update(probed_s=probed_s, now_s=now_s)
-    assert said[0].startswith("reporting; no probes yet: ")
-    assert [line[: line.index(" since ")] for line in said[1:]] == [
-        "reporting; probes arrive",
-        "reporting; no probes",
-        "reporting; probes arrive",
-    ]

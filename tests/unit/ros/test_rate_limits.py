@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.observation import MessageRefusal
-from arpd.model.probing import PeerReport, Train
+from arpd.model.probing import PeerReport
 from arpd.ros.peer_reports import PeerReports
 from arpd.ros.rate_limits import RateLimit
 from tests.examples import examples
@@ -88,28 +88,3 @@ def test_no_more_peers_are_believed_than_there_are():
         assert daemon.answer(now_s=now_s) is not MessageRefusal.QUOTA
         results = [daemon.answer(now_s=now_s, peer=f"liar-{tick}-{k}") for k in range(5)]
         assert results.count(MessageRefusal.QUOTA) >= 4
-
-
-def test_no_report_exceeds_what_the_link_can_do():
-    """Bytes and trains above the upper bound count as the bound."""
-    daemon = Daemon(9)
-    daemon.bound(0.0, interface=2e6, radio=None)
-    fast = Train(payload_bytes=1_000_000, duration_s=1e-6, packets=24)
-    slow = Train(payload_bytes=1000, duration_s=0.5, packets=24)
-    admitted = daemon.answer(rx_bytes=2**32 - 1, trains=(fast, slow))
-    assert admitted.rx_bytes == 200_000
-    assert admitted.trains[0].rate_bytes_per_second == pytest.approx(2_000_000.0)
-    assert admitted.trains[1] == slow
-
-
-def test_the_ceiling_is_the_lowest_bound():
-    """The speed of a wired interface, twice the best recent rate of the radio, and 100 Gbit/s in any case."""
-    daemon = Daemon(9)
-    assert daemon.ceiling == 12.5e9
-    daemon.bound(0.0, interface=125e6, radio=None)
-    assert daemon.ceiling == 125e6
-    daemon.bound(1.0, interface=None, radio=8e6)
-    daemon.bound(30.0, interface=None, radio=1e6)  # it idles
-    assert daemon.ceiling == 16e6
-    daemon.bound(80.0, interface=None, radio=1e6)
-    assert daemon.ceiling == 2e6
