@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from arpd.cli import checks_host, checks_link
-from arpd.cli.checkup import Here, unknown
+from arpd.cli.checks import CHECKS, Finding
+from arpd.cli.here import Here
 from arpd.cli.options import Command, add_address, add_config, add_json, within
-from arpd.cli.output import width_of_output, wrapped
-from arpd.cli.progress import progress
+from arpd.cli.output import progress, width_of_output, wrapped
 from arpd.model.errors import NotKnownError
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping
-
-    from arpd.cli.checkup import Finding
 
 _LISTEN_S = 6.0  # a participant announces itself every three seconds
 _MOST_LISTEN_S = 600.0
@@ -26,8 +23,8 @@ _TEXT = """\
 Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: clocks that differ between
 the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost for want
 of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers without
-arpd's Fast DDS profile, versions of ROS, numpy and arpd that do not fit, units that do not run, faults of the
-configuration.
+arpd's Fast DDS profile, another middleware than Fast DDS, versions of arpd that do not fit, units that do not run,
+faults of the configuration.
 
 It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
 base computer, name the robot with --url (http.host in its configuration opens the port).
@@ -75,42 +72,37 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def check_up(here: Here) -> dict[str, Finding]:
-    """Return what every check finds, by its name; a check that does not concern this computer finds nothing."""
+    """Return what every check finds, by its name."""
     findings = {}
-    for check in (*checks_link.CHECKS, *checks_host.CHECKS):
+    for check in CHECKS:
         try:
             found = check(here)
         except NotKnownError as error:
-            found = unknown(str(error))
-        if found is not None:
-            findings[check.__name__.replace("_", " ")] = found
+            found = Finding("unknown", str(error))
+        findings[check.__name__.replace("_", " ")] = found
     return findings
 
 
 def lines(findings: Mapping[str, Finding], *, width: int, is_verbose: bool = False) -> list[str]:
     """Lay findings out for a terminal: what is wrong, each with its remedies, what is not known, and a count.
 
-    Parameters
-    ----------
-    width : no sentence is wider; a remedy stays in one line, so that it can be copied (columns)
-    is_verbose : whether what is fine is shown, too
+    No sentence is wider; a remedy stays in one line, so that it can be copied.
     """
-    wrong, unsure, fine = (
-        {about: each for about, each in findings.items() if each.health == health}
-        for health in ("wrong", "unknown", "fine")
+    alike: dict[tuple[str, Finding], list[str]] = {}
+    for title, health in {"wrong": "wrong", "not known": "unknown", "fine": "fine"}.items():
+        for about, each in findings.items():
+            if each.health == health:
+                alike.setdefault((title, each), []).append(about)
+    shown = []
+    for (title, each), abouts in alike.items():
+        if title != "fine" or is_verbose:
+            shown += wrapped(f"{title}: {', '.join(abouts)}: {each.text}", width, indent=2, most=_MOST_LINES)
+            shown += [f"    {remedy}" for remedy in each.remedies]
+    wrong, unknown, fine = (
+        sum(each.health == health for each in findings.values()) for health in ("wrong", "unknown", "fine")
     )
-    alike: dict[str, list[str]] = {}
-    for about, each in unsure.items():
-        alike.setdefault(each.text, []).append(about)
-    sentences = [(f"wrong: {about}: {each.text}", each.remedies) for about, each in wrong.items()]
-    sentences += [(f"not known: {', '.join(abouts)}: {why}", ()) for why, abouts in alike.items()]
-    sentences += [(f"fine: {about}: {each.text}", ()) for about, each in fine.items() if is_verbose]
-    shown: list[str] = []
-    for sentence, remedies in sentences:
-        shown += [*wrapped(sentence, width, indent=2, most=_MOST_LINES), *(f"    {remedy}" for remedy in remedies)]
-    parts = [count(len(wrong), "thing") + " to do"] if wrong else []
-    parts += [f"{count(len(fine), 'check')} fine", *([f"{len(unsure)} not known"] if unsure else [])]
-    return [*shown, ", ".join(parts)]
+    parts = [f"{count(wrong, 'thing')} to do"] if wrong else []
+    return [*shown, ", ".join([*parts, f"{count(fine, 'check')} fine", *([f"{unknown} not known"] if unknown else [])])]
 
 
 DOCTOR = Command(_TEXT, _add_options, _doctor)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING
 
 from rich.console import Group
-from rich.segment import Segment
 from rich.styled import Styled
 from rich.text import Text
 
-from arpd.cli.output import FittedTable, wall_clock, wrapped
+from arpd.cli.output import fitted, wall_clock, wrapped
 from arpd.model.quantities import (
     format_duration,
     format_number,
@@ -32,6 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+    from rich.table import Table
 
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
@@ -50,7 +50,6 @@ _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
 _BLOCKS = "▁▂▃▄▅▆▇█"
-_IN_ASCII = str.maketrans("…→≤≥" + _BLOCKS, "~><>_.-:=+*#")
 _NOT_READY = "Not ready: the daemon has just started or is stuck; if this stays, see journalctl -u arpd."
 
 
@@ -90,8 +89,7 @@ class Frame:
         head = list(self._head(options.max_width))
         body = self._body(self.status, options.max_width, options.max_height - len(head)) if self.status else []
         frame = Group(*head, Styled(Group(*body), "dim" if self.why_silent else ""))
-        for shown, style, _ in console.render(frame, options.update(height=None, no_wrap=True, overflow="ellipsis")):
-            yield Segment(shown.translate(_IN_ASCII) if options.ascii_only else shown, style)
+        yield from console.render(frame, options.update(height=None, no_wrap=True, overflow="ellipsis"))
 
     def _head(self, width: int) -> Iterator[Text]:
         at, url = "", f", {printable(self.url, longest=80)}" if self.url else ""
@@ -126,7 +124,7 @@ class Frame:
             room -= events
             shown = topics if len(topics) < room else topics[: max(0, room - 2)]
         if shown:
-            table.append(topic_table(shown))
+            table.append(_topic_table(shown, width))
         if rest := topics[len(shown) :]:
             slowed = sum(map(_is_slowed, rest))
             note = f"… and {len(rest)} more topics" + (f", {slowed} of them slowed" if slowed else "")
@@ -169,7 +167,6 @@ def _facts(status: Status, width: int, *, most: int) -> list[Text]:
         ("", "; ".join(filter(None, [plan.reason, *(f"refused {refusal}" for refusal in plan.refusals)]))),
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
-        ("withheld", _withheld_by_all(status.topics)),
         ("lease", lease(status.lease_s) if status.lease_s else ""),
         ("rmw", status.rmw_refusal),
         *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
@@ -215,18 +212,6 @@ def _relay(relay: RelaySummary) -> str:
     return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
 
 
-def _withheld_by_all(topics: Sequence[Topic]) -> str:
-    """Say why messages of all topics together were withheld."""
-    withheld, offered = (sum(getattr(topic.confirmed, name) for topic in topics) for name in ("withheld", "offered"))
-    if not withheld or not offered:
-        return ""
-    by_cause: Counter[str] = Counter()
-    for topic in topics:
-        by_cause.update({cause: many for cause, many in topic.confirmed.withheld_by_cause.items() if many})
-    causes = ", ".join(f"{cause} {many}" for cause, many in by_cause.most_common())
-    return f"{withheld} of {offered} messages ({format_share(withheld / offered)})" + (f": {causes}" if causes else "")
-
-
 def _log(status: Status) -> Iterator[Text]:
     for event in status.events:
         at_s = event.unix_time_s
@@ -237,32 +222,26 @@ def _log(status: Status) -> Iterator[Text]:
         yield line
 
 
-def topic_table(topics: Sequence[Topic]) -> FittedTable:
+def _topic_table(topics: Sequence[Topic], width: int) -> Table:
     """Return a heading and a line per topic; QoS as ``now→planned`` where the two differ."""
+    is_shared = len({topic.topic for topic in topics}) < len(topics)
     columns: list[tuple[str, int, Callable[[Topic], str]]] = [
         ("TOPIC", 0, lambda topic: topic.topic),
-        ("NODE", 1, lambda topic: topic.node),
+        ("NODE", 1, lambda topic: topic.node if is_shared else ""),
         ("ALLOWED", 0, _allowed),
         ("SENT", 0, lambda topic: format_number(topic.confirmed.published_rate_hz)),
         ("SOURCE", 3, lambda topic: format_number(topic.confirmed.source_rate_hz)),
         ("DEPTH", 4, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
-        ("DEADLINE", 5, lambda topic: _moving(topic, lambda qos: _deadline(qos.deadline_ns))),
+        ("DEADLINE", 5, lambda topic: _moving(topic, lambda qos: format_period(qos.deadline_ns))),
         ("WITHHELD", 1, _withheld),
         ("CAUSES", 6, _causes),
-        ("LATE", 2, lambda topic: str(topic.confirmed.deadlines_missed)),
+        ("LATE", 2, lambda topic: str(topic.confirmed.deadlines_missed or "")),
         ("BOUND BY", 0, _bound_by),
     ]
-    has_content = {
-        "NODE": len({topic.topic for topic in topics}) < len(topics),
-        "CAUSES": any(any(topic.confirmed.withheld_by_cause.values()) for topic in topics),
-        "LATE": any(topic.confirmed.deadlines_missed for topic in topics),
-    }
-    columns = [column for column in columns if has_content.get(column[0], True)]
-    titles, ranks, cells = zip(*columns, strict=True)
-    rows = [titles, *([cell(topic) for cell in cells] for topic in topics)]
-    return FittedTable(
-        rows=rows, ranks=ranks, words=frozenset({"BOUND BY"}), styles=[_style(topic) for topic in topics]
-    )
+    filled = [(title, rank, [cell(topic) for topic in topics]) for title, rank, cell in columns]
+    titles, ranks, cells = zip(*(column for column in filled if any(column[2])), strict=True)
+    rows = [titles, *zip(*cells, strict=True)]
+    return fitted(rows, width, ranks=ranks, words={"BOUND BY"}, styles=[_style(topic) for topic in topics])
 
 
 def _rank(topic: Topic) -> tuple[bool, float, float, str, str]:
@@ -296,10 +275,6 @@ def _moving(topic: Topic, show: Callable[[PublisherState | TopicPlan], str]) -> 
     """Show the announced value, and the planned one where the two differ."""
     now, planned = show(topic.confirmed), show(topic.planned or topic.confirmed)
     return now if now == planned else f"{now}→{planned}"
-
-
-def _deadline(period_ns: int) -> str:
-    return format_period(period_ns) if period_ns else "none"
 
 
 def _withheld(topic: Topic) -> str:

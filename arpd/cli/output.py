@@ -1,4 +1,4 @@
-"""Standard output as rich writes to it: tables that fit the width they are printed in, and texts that are wrapped."""
+"""Standard output as rich writes to it: tables that fit the width they are printed in, wrapped texts, progress."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import shutil
 import sys
 import textwrap
 import time
-from dataclasses import dataclass
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
@@ -15,10 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
-    from rich.console import ConsoleOptions, RenderableType
-    from rich.segment import Segment
+    from rich.console import RenderableType
 
 WITHOUT_END = 10_000  # columns, or lines, of a pipe
 _GAP = 2
@@ -52,71 +51,80 @@ def wrapped(text: str, width: int, *, indent: int, most: int = 2) -> list[str]:
     )
 
 
-def wall_clock(unix_time_s: float | None, pattern: str = "%H:%M:%S") -> str:
+def wall_clock(unix_time_s: float, pattern: str = "%H:%M:%S") -> str:
     """Return a Unix time as local time, question marks for a time outside the calendar."""
     try:
-        return "??:??:??" if unix_time_s is None else time.strftime(pattern, time.localtime(unix_time_s))
+        return time.strftime(pattern, time.localtime(unix_time_s))
     except (OverflowError, ValueError, OSError):
         return "??:??:??"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FittedTable:
-    """Rows in columns, for rich to print.
+def fitted(
+    rows: Sequence[Sequence[str]],
+    width: int = 0,
+    *,
+    ranks: Sequence[int] = (),
+    words: Collection[str] = (),
+    styles: Sequence[str] = (),
+) -> Table:
+    """Lay rows out in columns that fit a width.
 
-    Where they are too wide it cuts the front of the first column (the end tells topics apart) and the end of the last
-    one, to 24 and 8 characters, then drops columns, the highest rank first, then cuts on.
+    Where they are too wide, columns are dropped, the highest rank first, once the first column has 24 characters and
+    the last one 8. A first cell that is too long loses its front (the end tells topics apart), a last one its end.
 
     Parameters
     ----------
     rows : of equally many cells, the headings first, which may have two lines
+    width : of the place for it, by default that of standard output (columns)
     ranks : one per column; 0 is never dropped, as none is without any
     words : headings of columns that are flush left, as the first one is; the others hold numbers
     styles : of each row after the headings, without any by default
     """
-
-    rows: Sequence[Sequence[str]]
-    ranks: Sequence[int] = ()
-    words: frozenset[str] = frozenset()
-    styles: Sequence[str] = ()
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Segment]:
-        """Yield the table that fits."""
-        widths = [max(map(_width, column)) for column in zip(*self.rows, strict=True)]
-        kept = self._kept(widths, options.max_width)
-        first, last = kept[0], kept[-1]
-        room = options.max_width - sum(widths[column] + _GAP for column in kept[1:-1]) - _GAP
-        widths[first] = max(min(widths[first], _LEAST_NAME), min(widths[first], room - widths[last]))
-        widths[last] = max(1, min(widths[last], room - widths[first]))
-        table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold underline")
-        for column in kept:
-            heading = self.rows[0][column]
-            is_number = column != first and heading not in self.words
-            table.add_column(
-                Text(heading), justify="right" if is_number else "left", no_wrap=True, width=widths[column]
-            )
-        for row, style in zip(self.rows[1:], self.styles or [""] * len(self.rows), strict=False):
-            name = _from_end(row[first], widths[first])
-            table.add_row(*map(Text, (name, *(row[column] for column in kept[1:]))), style=style)
-        # Before rich 15 a table counts the gap that it leaves out after the last column.
-        yield from console.render(table, options.update_width(options.max_width + _GAP))
-
-    def _kept(self, widths: Sequence[int], width: int) -> list[int]:
-        kept = list(range(len(widths)))
-
-        def excess() -> int:
-            least = min(widths[0], _LEAST_NAME) + min(widths[-1], _LEAST_LAST)
-            return least + sum(widths[column] for column in kept[1:-1]) + _GAP * (len(kept) - 1) - width
-
-        while self.ranks and excess() > 0 and any(self.ranks[column] for column in kept):
-            kept.remove(max(kept, key=self.ranks.__getitem__))
-        return kept
+    width = width or width_of_output()
+    widths = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in zip(*rows, strict=True)]
+    least = [min(widths[0], _LEAST_NAME), *widths[1:-1], min(widths[-1], _LEAST_LAST)]
+    kept = list(range(len(widths)))
+    while (
+        any(ranks[column] for column in kept if ranks) and sum(least[column] + _GAP for column in kept) > width + _GAP
+    ):
+        kept.remove(max(kept, key=ranks.__getitem__))
+    room = max(least[0], width - sum(least[column] + _GAP for column in kept[1:]))
+    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold underline")
+    for column in kept:
+        heading = rows[0][column]
+        is_left = column == 0 or heading in words
+        table.add_column(Text(heading), justify="left" if is_left else "right", no_wrap=column != kept[-1])
+    for row, style in zip(rows[1:], styles or [""] * len(rows), strict=False):
+        name = row[0] if len(row[0]) <= room else f"…{row[0][1 - room :]}"
+        table.add_row(
+            *(Text(cell, no_wrap=True) for cell in (name, *(row[column] for column in kept[1:]))), style=style
+        )
+    return table
 
 
-def _width(text: str) -> int:
-    return max(map(cell_len, text.split("\n")))
+@contextmanager
+def progress(title: str, *, total: float | None = None) -> Iterator[Callable[[float, str], None]]:
+    """Show progress on stderr until the work is done, where that is a terminal; stdout stays unchanged.
 
+    Parameters
+    ----------
+    title : name of the work
+    total : number of steps, or another measure of the whole; None = unknown
 
-def _from_end(text: str, longest: int) -> str:
-    """Keep the end of a text that is too long."""
-    return text if len(text) <= longest else f"…{text[1 - longest :]}" if longest > 1 else "…"
+    Yields
+    ------
+    A function that takes how much is done, in the unit of the total, and the name of the present step.
+    """
+    from rich.progress import Progress, TextColumn
+
+    with Progress(
+        *Progress.get_default_columns(),
+        TextColumn("{task.fields[what]}", markup=False),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+        # rich moves printed text to the bar's stream; that is right only where both go to the same terminal.
+        redirect_stdout=sys.stdout.isatty(),
+    ) as bar:
+        task = bar.add_task(title, total=total, what="")
+        yield lambda done, what: bar.update(task, completed=done, what=what)

@@ -2,36 +2,59 @@
 
 from __future__ import annotations
 
-import json
-from itertools import count
+from dataclasses import asdict, fields
+from itertools import count as counting
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from arpd.cli.comparison import Asked, comparison_document, show_comparison
+from pydantic_core import to_json
+from rich.text import Text
+
 from arpd.cli.options import Command, add_config, add_json, config_of, within
-from arpd.cli.progress import progress
-from arpd.daemon.compare import compare
+from arpd.cli.output import fitted, progress, show
+from arpd.daemon.compare import WARM_UP_S, compare, events, summarize
+from arpd.daemon.scenario import Moment
 from arpd.host.config.load import load_settings
+from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
-from arpd.model.quantities import format_duration, parse_duration, parse_size, printable, spell_duration, spell_size
+from arpd.model.quantities import (
+    format_duration,
+    format_number,
+    format_rate,
+    format_size,
+    parse_duration,
+    parse_size,
+    printable,
+    spell_duration,
+    spell_size,
+)
+from arpd.report.wording import count
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import configured_topics
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.trace import LinkTrace, read_trace
+from arpd.web.json_text import plain
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
+    from arpd.daemon.compare import Comparison, LinkEvent, Summary
     from arpd.model.settings import Settings
+    from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
+
+    Figures = Mapping[str, Callable[[TopicResult], float | None]]
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
 _DEFAULT_S = 60.0  # when the trace is shorter
 _DRAIN_S = 10.0  # the link goes on after the end of the run
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
 _MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
+_MBIT = 1e6 / 8  # bytes
+_MOST_EVENTS = 25
+_LINK = LinkModel()
 _TEXT = """\
 Run a robot over a simulated link, three times with the same seed: with arpd, without it (rclpy's defaults, unpaced),
 and with an oracle that knows the link in place of arpd's estimator. It runs the daemon's own code in virtual time: no
@@ -62,89 +85,111 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="length of the run, like 5min (default: the trace's, at least 60s)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of phases and losses (default %(default)s)")
-    parser.add_argument(
-        "--actuation",
-        action="append",
-        default=[],
-        metavar="TOPIC",
-        help="this topic of the configuration crosses towards the robot; may be repeated",
-    )
-    _add_link(parser.add_argument_group("the link, besides its rate"))
+    about = "this topic of the configuration crosses towards the robot; may be repeated"
+    parser.add_argument("--actuation", action="append", default=[], metavar="TOPIC", help=about)
+    link = parser.add_argument_group("the link, besides its rate")
+
+    def add(option: str, reader: Callable[[str], Any], default: float, metavar: str, about: str) -> None:
+        link.add_argument(option, type=reader, default=default, metavar=metavar, help=about)
+
+    size = within(0.0, _MOST_QUEUE_BYTES, parse=parse_size, spell=spell_size)
+    costs = "link time a transmission costs besides its bytes"
+    add("--loss", within(0.0, 1.0, parse=float), 0.0, "SHARE", "of packets lost, besides the trace's (default 0)")
+    add("--delay", _duration(0.0, _MOST_DELAY_S), _LINK.delay_s, "TIME", "one way, without a queue (default 2ms)")
+    add("--queue", size, _LINK.queue_bytes, "SIZE", "queue in front of the link (default 256kB)")
+    add("--packet-overhead", _duration(0.0, _MOST_OVERHEAD_S), 0.0, "TIME", costs)
+    add("--aggregate", within(1, _MOST_AGGREGATE, parse=int), 1, "N", "packets that may share it (default 1)")
+    about = "sender: its interface, where a full queue makes a write wait; middle: between the hosts (default sender)"
+    link.add_argument("--bottleneck", choices=("sender", "middle"), default="sender", help=about)
     add_json(parser, "print JSON, with the course ten times a second")
 
 
-def _add_link(group: argparse._ArgumentGroup) -> None:
-    share = within(0.0, 1.0, parse=float)
-    delay, overhead = _duration(0.0, _MOST_DELAY_S), _duration(0.0, _MOST_OVERHEAD_S)
-    size = within(0.0, _MOST_QUEUE_BYTES, parse=parse_size, spell=spell_size)
-    packets = within(1, _MOST_AGGREGATE, parse=int)
-    group.add_argument("--loss", type=share, metavar="SHARE", help="of packets lost, besides the trace's (default 0)")
-    group.add_argument("--delay", type=delay, metavar="TIME", help="one way, without a queue (default 2ms)")
-    group.add_argument("--queue", type=size, metavar="SIZE", help="queue in front of the link (default 256kB)")
-    group.add_argument(
-        "--bottleneck",
-        choices=("sender", "middle"),
-        default="sender",
-        help="sender: its interface, where a full queue makes a write wait; middle: between the hosts (default sender)",
-    )
-    costs = "link time a transmission costs besides its bytes"
-    group.add_argument("--packet-overhead", type=overhead, metavar="TIME", help=costs)
-    group.add_argument("--aggregate", type=packets, metavar="N", help="packets that may share it (default 1)")
-
-
 def _simulate(options: argparse.Namespace) -> int:
-    given = {
-        "loss": options.loss,
-        "delay_s": options.delay,
-        "queue_bytes": None if options.queue is None else int(options.queue),
-        "packet_overhead_s": options.packet_overhead,
-        "aggregate_packets": options.aggregate,
-    }
-    properties = {name: value for name, value in given.items() if value is not None}
     trace, duration_s = _trace(options)
     config, settings, configured = _robot(options)
-    asked = Asked(
-        config=config,
-        trace=trace,
-        duration_s=duration_s,
-        seed=options.seed,
-        model=LinkModel(pushes_back=options.bottleneck == "sender", losses=trace.losses, **properties),
-        robot=configured or demo_topics(),
-        is_demo=not configured,
+    robot = configured or demo_topics()
+    model = LinkModel(
+        delay_s=options.delay,
+        queue_bytes=int(options.queue),
+        pushes_back=options.bottleneck == "sender",
+        loss=options.loss,
+        losses=trace.losses,
+        packet_overhead_s=options.packet_overhead,
+        aggregate_packets=options.aggregate,
     )
-    number = count()
+    number = counting()
     with progress(f"simulating {format_duration(duration_s)} three ways", total=3) as reach:
-        comparison = compare(
+        ways = compare(
             settings,
             trace.rates,
             duration_s,
-            seed=asked.seed,
-            model=asked.model,
-            topics=asked.robot,
+            seed=options.seed,
+            model=model,
+            topics=robot,
             on_way=lambda way: reach(next(number), way),
         )
+    summaries = {way: summarize(result, start_s=WARM_UP_S, end_s=duration_s) for way, result in ways.items()}
+    happened = events(ways["arpd"])
     if options.json:
-        print(json.dumps(comparison_document(asked, comparison), indent=2, allow_nan=False))
-    else:
-        show_comparison(asked, comparison)
+        asked = {"config": config and str(config), "trace": trace.name, "duration_s": duration_s, "seed": options.seed}
+        link = {name: value for name, value in asdict(model).items() if name not in {"losses", "outages"}}
+        document = asked | {
+            "warm_up_s": WARM_UP_S,
+            "link": link,
+            "robot": {"is_demo": not configured, "topics": robot},
+            "ways": {
+                way: {"summary": summaries[way], "topics": result.topics, "course": _course(result.moments)}
+                for way, result in ways.items()
+            },
+            "events": happened,
+        }
+        print(to_json(plain(document), indent=2, inf_nan_mode="null").decode())
+        return 0
+    why = "no configuration has a payload and a source_rate_hz" if config else "--config names another"
+    head = [
+        *_head(trace.name, ways, model, robot),
+        *([] if configured else [f"         the demo robot; {why}"]),
+        "ways     arpd; without it (rclpy's defaults, unpaced); arpd with an oracle for its estimator",
+        f"runs     {format_duration(duration_s)} each, seed {options.seed}",
+    ]
+    show(*map(Text, head), "", fitted(_overall(summaries)))
+    rates: Figures = {
+        "DELIVERED, HZ": lambda topic: topic.received / duration_s,
+        "LOST, %": lambda topic: 100 * topic.loss_ratio,
+    }
+    delays: Figures = {
+        "P50, MS": lambda topic: _times(1e3, topic.latency_p50_s),
+        "P99, MS": lambda topic: _times(1e3, topic.latency_p99_s),
+        "AGE P99": lambda topic: _times(1e3, topic.age_p99_s),
+    }
+    show("", fitted(_topics(robot, ways, rates)), "", fitted(_topics(robot, ways, delays)), "")
+    _show_events(happened)
     return 0
+
+
+def _head(name: str, ways: Comparison, model: LinkModel, robot: Sequence[SimTopic]) -> Sequence[str]:
+    rates = [moment.truth_bytes_per_second for moment in ways["arpd"].moments]
+    low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
+    path = f"delay {format_duration(model.delay_s)}, queue {format_size(model.queue_bytes)}"
+    published = format_rate(sum(topic.payload_bytes * topic.rate_hz for topic in robot))
+    return (
+        f"link     {printable(name)}: {low} to {high}, mean {mean}; {path}",
+        f"robot    {count(len(robot), 'topic')} with {published} of payload",
+    )
 
 
 def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[SimTopic, ...]]:
     """Return the configuration's file, its settings, and the topics of which it says what they publish."""
     config = config_of(options)
-    if config is None:
-        if options.actuation:
-            raise UsageError("--actuation is for the topics of a configuration; name it with --config")
-        return None, demo_settings(), ()
-    settings = load_settings(config, interfaces=None)  # the file may belong to another computer
-    configured = configured_topics(settings, actuation=options.actuation)
+    # The file may belong to another computer.
+    settings = demo_settings() if config is None else load_settings(config, interfaces=None)
+    configured = () if config is None else configured_topics(settings, actuation=options.actuation)
     known = {topic.prefix + topic.name for topic in configured}
     for name in options.actuation:
         if name not in known:
             raise UsageError(
-                f"--actuation {name}: {config} does not say what it publishes; "
-                f"give it payload and source_rate_hz under topics"
+                f"--actuation {name}: {config or 'no --config'} does not say what it publishes; "
+                "give it payload and source_rate_hz under topics"
             )
     return config, settings, configured
 
@@ -165,6 +210,61 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
 
 def _duration(least_s: float, most_s: float) -> Callable[[str], float]:
     return within(least_s, most_s, parse=parse_duration, spell=spell_duration)
+
+
+def _course(moments: Sequence[Moment]) -> Mapping[str, tuple[Any, ...]]:
+    """Return the course of a run by columns; null = it does not exist."""
+    return {field.name: tuple(getattr(moment, field.name) for moment in moments) for field in fields(Moment)}
+
+
+def _overall(summaries: Mapping[str, Summary]) -> Sequence[Sequence[str]]:
+    """Return the ways side by side, from the end of the warm-up on."""
+    best = summaries["oracle"].goodput_bytes_per_second
+    rows: dict[str, Callable[[Summary], float | None]] = {
+        "payload delivered, Mbit/s": lambda way: way.goodput_bytes_per_second / _MBIT,
+        "of the oracle's, %": lambda way: 100 * way.goodput_bytes_per_second / best if best else None,
+        "of the link carried, %": lambda way: 100 * way.carried_share,
+        "budget, mean, Mbit/s": lambda way: _times(1 / _MBIT, way.budget_mean_bytes_per_second),
+        "longest queue, ms": lambda way: 1e3 * way.queue_peak_s,
+        "99 % of queues below, ms": lambda way: 1e3 * way.queue_p99_s,
+        "estimate off by, median, %": lambda way: _times(100, way.error_median),
+        "estimate off by, p90, %": lambda way: _times(100, way.error_p90),
+        "plans per minute": lambda way: way.plans_per_minute,
+        "QoS swaps per minute": lambda way: way.swaps_per_minute,
+        "probes and reports, % of link": lambda way: 100 * way.measuring_share,
+    }
+    titles = [f"FROM {WARM_UP_S:g} S ON", *(way.upper() for way in summaries)]
+    return [
+        titles,
+        *([title, *(format_number(cell(way)) for way in summaries.values())] for title, cell in rows.items()),
+    ]
+
+
+def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Sequence[Sequence[str]]:
+    """Return figures per topic over the whole run, three ways each."""
+    titles = [f"{figure if way == 'arpd' else ''}\n{way}" for figure in figures for way in ways]
+    rows = [["TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles]]
+    for topic, *results in zip(robot, *(way.topics for way in ways.values()), strict=True):
+        arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""
+        cells = (format_number(cell(result)) for cell in figures.values() for result in results)
+        rows.append([printable(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells])
+    return rows
+
+
+def _show_events(happened: Sequence[LinkEvent]) -> None:
+    rows = [["", "WHAT ARPD DID", "CAPACITY"]]
+    for event in happened[:_MOST_EVENTS]:
+        levels = (event.before_bytes_per_second, event.after_bytes_per_second)
+        change = " -> ".join(format_rate(level) for level in levels if level is not None)
+        rows.append([f"{event.t_s:.1f} s", event.what, change])
+    more = len(happened) - _MOST_EVENTS
+    show(fitted(rows, words=rows[0]) if happened else "arpd made no plan")
+    if more > 0:
+        show(f"and {more} more; --json has all")
+
+
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value
 
 
 SIMULATE = Command(_TEXT, _add_options, _simulate)

@@ -4,22 +4,38 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.cli.options import Command, add_json
+from pydantic_core import from_json
+from rich.text import Text
+
+from arpd.cli.options import Command, add_json, within
+from arpd.cli.output import fitted, show
+from arpd.govern.plan import make_plan
+from arpd.host.config.load import load_settings
+from arpd.host.config.yaml_source import Fault, Place, config_error
 from arpd.model.errors import ArpdError, UsageError
+from arpd.model.quantities import format_number, format_rate, format_share, format_size, parse_rate, printable
 from arpd.model.settings import Backend
+from arpd.report.wording import count
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import Eq4Problem, whole
+from arpd.solve.program import Program
+from arpd.solve.topics import assumed_traffic, measured_traffic, rows_of_traffic
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
-_PAPER = ("rmax", "sensing", "actuation", "rmin", "dmin", "dmax")
-_PAPER_NEEDS = ("rmax", "sensing", "actuation")
-_OFFLINE = ("config", "capacity", "status")
+    from arpd.model.settings import Settings
+    from arpd.web.api import Status
+
+    Document = Mapping[str, Any]
+
+_FASTEST = "100gbit"  # as in the configuration
+_MOST_TOPICS = 1_000_000
 _TEXT = """\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
 share. Exits 1 when the constraints cannot be met.
@@ -28,9 +44,9 @@ share. Exits 1 when the constraints cannot be met.
                                Dmax*R/Rmax - D >= Dmin                       (3)
                                Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
 
-With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or the rates on
-several. Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running
-daemon measured (--status). Needs neither ROS nor a daemon.
+With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or of several.
+Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running daemon
+measured (--status). Needs neither ROS nor a daemon.
 
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
@@ -38,61 +54,61 @@ examples:
   arpd solve --rmax 100 --sensing 80 --actuation 1            infeasible: too many topics
 
   arpd solve --config robot.yaml --capacity 5mbit             rate, DEADLINE and DEPTH of every topic
-  arpd solve --config robot.yaml --capacity 1mbit,5mbit,20mbit   how the rates move with the link
+  arpd solve --config robot.yaml --capacity 1mbit,5mbit,20mbit   how they move with the link
   arpd status --json > robot.json && arpd solve --config new.yaml --status robot.json --capacity 5mbit
 
 what a rate or depth is bound by:
-  desired   it has what it asked for: max_rate_hz, or all that its source publishes
-  link      a faster link would give it more; weight decides which topic gets how much
-  minimum   min_rate_hz or min_depth keeps it up
-  latency   latency_budget: a deeper history would only be older
-  max       max_depth            memory    program.memory_budget"""
-_BOTH_MODES = "--rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
+  desired rate     it has what it asked for: max_rate_hz, or all that its source publishes
+  link             a faster link would give it more; weight decides which topic gets how much
+  minimum          min_rate_hz or min_depth keeps it up
+  latency budget   a deeper history would only be older
+  max depth        max_depth            memory    program.memory_budget"""
+_PAPER, _OWN = ("rmax", "sensing", "actuation"), ("config", "capacity")
+_SUMMED = ("desired_rate_hz", "rate_hz")
+_BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
+_SAVE = "save it on the robot with arpd status --json > FILE"
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    _add_paper(parser.add_argument_group("the paper's program"))
-    _add_offline(parser.add_argument_group("your topics, offline"))
-    backends = [str(backend) for backend in Backend]
-    parser.add_argument("--backend", choices=backends, help="solver (default osqp, or the configuration's)")
+    paper = parser.add_argument_group("the paper's program")
+    topics = within(0, _MOST_TOPICS, parse=int)
+    paper.add_argument("--rmax", type=float, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
+    paper.add_argument("--sensing", type=topics, metavar="N", help="topics from the robot, SPt")
+    paper.add_argument("--actuation", type=topics, metavar="N", help="topics to the robot, PAAt")
+    paper.add_argument("--rmin", type=float, metavar="HZ", default=1.0, help="Rmin (Hz, default 1)")
+    paper.add_argument("--dmin", type=int, metavar="N", default=1, help="Dmin (samples, default 1)")
+    paper.add_argument("--dmax", type=int, metavar="N", default=5000, help="Dmax (samples, default 5000)")
+    own = parser.add_argument_group("your topics, offline")
+    own.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
+    own.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
+    own.add_argument(
+        "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
+    )
+    parser.add_argument("--backend", choices=list(Backend), help="solver (default osqp, or the configuration's)")
     add_json(parser)
 
 
-def _add_paper(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--rmax", type=float, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
-    group.add_argument("--sensing", type=int, metavar="N", help="topics from the robot, SPt")
-    group.add_argument("--actuation", type=int, metavar="N", help="topics to the robot, PAAt")
-    group.add_argument("--rmin", type=float, metavar="HZ", help="Rmin (Hz, default 1)")
-    group.add_argument("--dmin", type=int, metavar="N", help="Dmin (samples, default 1)")
-    group.add_argument("--dmax", type=int, metavar="N", help="Dmax (samples, default 5000)")
-
-
-def _add_offline(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
-    group.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
-    group.add_argument(
-        "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
-    )
-
-
 def _solve(options: argparse.Namespace) -> int:
-    paper = [name for name in _PAPER if getattr(options, name) is not None]
-    offline = [name for name in _OFFLINE if getattr(options, name) is not None]
-    if paper and offline:
-        raise UsageError(f"--{paper[0]} and --{offline[0]} do not go together; give {_BOTH_MODES}")
-    if not paper and not offline:
-        raise UsageError(f"nothing to solve; give {_BOTH_MODES}")
-    if not offline:
-        return _solve_paper(options)
-    if options.config is None:
-        raise UsageError(f"--{offline[0]} needs --config FILE, whose topics are planned")
-    from arpd.cli.solve_topics import solve_topics
-
-    return solve_topics(options)
+    paper, own = ([getattr(options, name) for name in names] for names in (_PAPER, _OWN))
+    if any(value is not None for value in own) == any(value is not None for value in paper):
+        raise UsageError(_BOTH_MODES)
+    if None in paper and None in own:
+        raise UsageError(f"something is missing; {_BOTH_MODES}")
+    return _solve_topics(options) if None in paper else _solve_paper(options)
 
 
 def _solve_paper(options: argparse.Namespace) -> int:
-    problem, asked = _problem(options), Backend(options.backend or Backend.OSQP)
+    asked = Backend(options.backend or Backend.OSQP)
+    try:
+        problem = Eq4Problem(
+            max_rate_hz=options.rmax,
+            topics=options.sensing + options.actuation,
+            min_rate_hz=options.rmin,
+            min_depth=options.dmin,
+            max_depth=options.dmax,
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from error
     if refusal := problem.refusal():
         if not options.json:
             raise ArpdError(f"infeasible: {refusal}")
@@ -111,32 +127,13 @@ def _solve_paper(options: argparse.Namespace) -> int:
         "binding": "(2) link share, (3) depth share",
         "backend": backend,
     }
-    print(json.dumps(answer, indent=2) if options.json else _table(problem, answer))
+    print(json.dumps(answer, indent=2) if options.json else _of_paper(problem, answer))
     if backend is not asked:
         print(f"arpd: {asked} gave no correct answer; this one is the closed form's", file=sys.stderr)
     return 0
 
 
-def _problem(options: argparse.Namespace) -> Eq4Problem:
-    missing = [f"--{name}" for name in _PAPER_NEEDS if getattr(options, name) is None]
-    if missing:
-        raise UsageError(f"the paper's program needs {' and '.join(missing)}, too; give {_BOTH_MODES}")
-    for name, count in (("--sensing", options.sensing), ("--actuation", options.actuation)):
-        if count < 0:
-            raise UsageError(f"{name} {count} is below 0; count the topics")
-    try:
-        return Eq4Problem(
-            max_rate_hz=options.rmax,
-            topics=options.sensing + options.actuation,
-            min_rate_hz=1.0 if options.rmin is None else options.rmin,
-            min_depth=1 if options.dmin is None else options.dmin,
-            max_depth=5000 if options.dmax is None else options.dmax,
-        )
-    except (ValueError, OverflowError) as error:
-        raise UsageError(str(error)) from error
-
-
-def _table(problem: Eq4Problem, answer: Mapping[str, Any]) -> str:
+def _of_paper(problem: Eq4Problem, answer: Document) -> str:
     return """\
 {topics} topics share Rmax {max_rate_hz:g} Hz: publish each at {rate_hz_floor} Hz \
 with a history of {depth_floor} samples.
@@ -153,6 +150,138 @@ binding: {binding}; solved by {backend}""".format(
         applied_hz=1e9 / answer["deadline_ns"],
         empty="",
     )
+
+
+def _solve_topics(options: argparse.Namespace) -> int:
+    try:
+        capacities = [parse_rate(rate) for rate in options.capacity.split(",")]
+    except ValueError as error:
+        raise UsageError(f"--capacity: {error}") from None
+    if max(capacities) > parse_rate(_FASTEST):
+        raise UsageError(f"--capacity: '{printable(options.capacity)}' is out of range; write at most {_FASTEST}")
+    settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
+    if options.backend:
+        settings = replace(settings, program=replace(settings.program, backend=Backend(options.backend)))
+    status = _saved_status(options.status) if options.status else None
+    plans = [_plan(capacity, settings, status, options.config) for capacity in capacities]
+    if options.json:
+        print(json.dumps(plans if len(plans) > 1 else plans[0], indent=2))
+    else:
+        for plan in plans:
+            _show(plan)
+    if left_out := plans[0]["left_out"]:
+        names = ", ".join(printable(name, longest=250) for name in left_out)
+        why = f"neither {options.config} nor --status says both what they carry and how often"
+        print(f"arpd: left out: {names}; {why} (payload, source_rate_hz)", file=sys.stderr)
+    return 0
+
+
+def _saved_status(path: Path) -> Status:
+    """Return what the daemon had measured; the plan of that time does not matter for a new one."""
+    from arpd.cli.client import read_status
+
+    try:
+        document = from_json(path.read_bytes(), allow_inf_nan=False)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--status {printable(str(path), longest=4096)} cannot be read ({error}); {_SAVE}") from None
+    if not isinstance(document, dict) or (status := read_status(document, source=str(path))) is None:
+        raise ArpdError(f"{printable(str(path), longest=4096)} is no status of a daemon that was ready; {_SAVE}")
+    return status
+
+
+def _plan(capacity: float, settings: Settings, status: Status | None, config: Path) -> Document:
+    """Return the daemon's first plan for a link of this capacity, before headroom (bytes/s)."""
+    publishers = [topic.confirmed for topic in status.topics] if status else []
+    # A measurement replaces an assumption.
+    traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
+    if not traffic:
+        write = "write `topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]`"
+        measure = (
+            "take both from a robot whose nodes publish: arpd status --json > robot.json, then --status robot.json"
+        )
+        wrong = f"no topic has a payload and a source_rate_hz; {write}, or {measure}"
+        raise config_error(config, [Fault(Place(), "topics", wrong)])
+    sensing, actuation = settings.graph.sensing_topics, settings.graph.actuation_topics
+    if status:
+        sensing = status.sensing_topics if sensing is None else sensing
+        actuation = status.actuation_topics if actuation is None else actuation
+    memory_bytes = settings.program.memory_budget_bytes
+    try:
+        rows = rows_of_traffic(traffic.values(), settings)
+    except ValueError as error:
+        raise ArpdError(f"--status has an impossible number: {error}; {_SAVE}") from None
+    answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=(sensing or 0) + (actuation or 0))
+    qos = make_plan(answer, rows, publishers, previous={}, generation=1, settings=settings).topics
+    relayed = {settings.relay.link_prefix + name for name in settings.relay.topic_names}
+    named = relayed | {topic.name for topic in settings.topics if not topic.is_pattern}
+    return {
+        "capacity_bytes_per_second": capacity,
+        "headroom": settings.link.headroom,
+        "allocation": asdict(replace(answer, topics=(), price=None)),
+        "share": sum(each.share for each in answer.topics),
+        "memory_bytes": sum(row.slot_bytes * qos[row.name].depth for row in rows),
+        "memory_budget_bytes": memory_bytes,
+        "topics": [
+            asdict(traffic[row.name])
+            | asdict(row)
+            | asdict(each)
+            | {"depth": qos[row.name].depth, "deadline_ns": qos[row.name].deadline_ns or None}
+            for row, each in zip(rows, answer.topics, strict=True)
+        ],
+        "left_out": sorted((named | {publisher.topic for publisher in publishers}) - traffic.keys()),
+    }
+
+
+def _show(plan: Document) -> None:
+    """Print what each topic asks for and gets at one capacity, and what binds it."""
+    answer, rows = plan["allocation"], plan["topics"]
+    used, budget = format_size(plan["memory_bytes"]), format_size(plan["memory_budget_bytes"])
+    share, capacity = format_share(plan["headroom"]), format_rate(plan["capacity_bytes_per_second"])
+    head = [
+        f"link     {capacity}, of which {share} may be planned for {count(len(rows), 'topic')}",
+        f"program  {answer['status']}, bound by {_words(answer['binding'])}, solved by {answer['backend']}",
+        *([f"         gave way: {answer['degradation']}"] if answer["degradation"] else []),
+        f"memory   {used} of {budget} when every history is full",
+    ]
+    titles = [
+        *(
+            "TOPIC",
+            "WEIGHT",
+            "PAYLOAD\nB",
+            "MINIMUM\nHZ",
+            "DESIRED\nHZ",
+            "RATE\nHZ",
+            "LINK\n%",
+            "DEADLINE\nMS",
+            "DEPTH",
+        ),
+        *("RATE\nBOUND BY", "DEPTH\nBOUND BY"),
+    ]
+    total = [f"total of {len(rows)}", "", "", "", *(_four(sum(row[key] for row in rows)) for key in _SUMMED)]
+    total += [f"{100 * plan['share']:.1f}", "", "", "", ""]
+    show(*map(Text, head), "", fitted([titles, *map(_cells, rows), total], words=titles[-2:]), "")
+
+
+def _cells(row: Document) -> Sequence[str]:
+    return (
+        row["topic"],
+        format_number(row["weight"]),
+        *(_four(row[key]) for key in ("payload_bytes", "min_rate_hz", "desired_rate_hz")),
+        _four(row["rate_hz"]) if row["rate_hz"] else "paused",
+        f"{100 * row['share']:.1f}",  # one decimal for all: the points of a column stand below each other
+        _four(row["deadline_ns"] * 1e-6) if row["deadline_ns"] else "none",
+        str(row["depth"]),
+        _words(row["binding"]),
+        _words(row["depth_binding"]),
+    )
+
+
+def _words(binding: str) -> str:
+    return binding.replace("_", " ")
+
+
+def _four(value: float) -> str:
+    return format_number(value, digits=4)
 
 
 SOLVE = Command(_TEXT, _add_options, _solve)

@@ -51,7 +51,7 @@ def _status(options: argparse.Namespace) -> int:
         history = None if options.json else daemon.history()
     if options.json:
         print(json.dumps(document, indent=2))
-    status = read_status(document, url=options.url)
+    status = read_status(document, source=options.url)
     wrong = [finding.text for finding in findings(status) if finding.wrong]
     if status is None or options.json:
         for fault in wrong:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -11,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.cli.options import Command, add_config, within
-from arpd.cli.output import FittedTable, show, wrapped
-from arpd.cli.progress import progress
+from arpd.cli.output import fitted, progress, show
 from arpd.host import interface as host
 from arpd.host.config.first_file import LinkChoice, first_file
 from arpd.host.config.load import load_settings, local_domain
@@ -25,8 +25,9 @@ from arpd.report.first_guess import first_guess
 from arpd.report.wording import count
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterable, Sequence
+
+    from rich.table import Table
 
     from arpd.model.link_topics import LinkTopic, TopicList
     from arpd.model.settings import RelaySettings
@@ -36,9 +37,6 @@ _MOST_SECONDS = 600.0
 _LINK_DOMAINS = (77, 78)  # the second where the nodes live in the first
 _LONGEST_NAME = 250
 _MOST_NAMED = 2
-_WORDS = frozenset({"TYPE", "LINK", "FROM, TO"})  # columns that are flush left
-_LEAST_MBIT = 0.01
-_VARIES = 1.1
 _LEGEND = "LINK: out from this host, in from beyond it; now: a node on the other side reads it. READERS: here + beyond."
 
 
@@ -72,13 +70,18 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     output.add_argument("--suggest", action="store_true", help="print a first configuration file")
     output.add_argument("--json", action="store_true", help="print JSON")
     link = parser.add_argument_group("with --suggest")
-    link.add_argument("--robot", metavar="ADDRESS", help="this robot on the link (default: its address there now)")
-    link.add_argument("--base", metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)")
+    link.add_argument(
+        "--robot", type=_address, metavar="ADDRESS", help="this robot on the link (default: its address there now)"
+    )
+    link.add_argument(
+        "--base", type=_address, metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)"
+    )
     add_config(parser, otherwise="the defaults where that has faults")
 
 
 def _list_topics(options: argparse.Namespace) -> int:
-    _refuse_nonsense(options)
+    if (options.robot or options.base) and not options.suggest:
+        raise UsageError("--robot and --base go into a configuration; give --suggest, too")
     settings = _settings(options)
     listed = _measured(options, settings.relay)
     if not listed.topics:
@@ -96,17 +99,12 @@ def _list_topics(options: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_nonsense(options: argparse.Namespace) -> None:
-    for name in ("robot", "base"):
-        given = getattr(options, name)
-        if given is None:
-            continue
-        if not options.suggest:
-            raise UsageError(f"--{name} goes into a configuration; give --suggest, too")
-        try:
-            ADDRESS.read(given)
-        except ValueError as error:
-            raise UsageError(f"--{name}: {error}") from None
+def _address(word: str) -> str:
+    try:
+        ADDRESS.read(word)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return word
 
 
 def _settings(options: argparse.Namespace) -> Settings:
@@ -196,20 +194,12 @@ def _remark(words: str) -> None:
     print(f"arpd: {words}", file=sys.stderr)
 
 
-def _table(topics: Sequence[LinkTopic]) -> FittedTable:
-    """Return a heading and a line per topic."""
-    titles = ["TOPIC", "TYPE", "HZ", "SIZE", "LARGEST", "MBIT/S", "LINK", "READERS", "FROM, TO"]
-    rows, ranks = [titles, *(_cells(topic) for topic in sorted(topics, key=_order))], [0, 3, 0, 1, 5, 0, 0, 4, 0]
-    if not any(map(_varies, topics)):
-        at = titles.index("LARGEST")
-        rows, ranks = [[*row[:at], *row[at + 1 :]] for row in rows], [*ranks[:at], *ranks[at + 1 :]]
-    return FittedTable(rows=rows, ranks=ranks, words=_WORDS)
-
-
-def _varies(topic: LinkTopic) -> bool:
-    """Return whether the size of its samples varies so much that the mean does not tell it."""
-    traffic = topic.traffic
-    return traffic is not None and (traffic.largest_bytes or 0) > _VARIES * (traffic.mean_bytes or 0.0)
+def _table(topics: Sequence[LinkTopic]) -> Table:
+    """Return a heading and a line per topic, the heaviest first, and topics of unknown traffic last."""
+    titles = ["TOPIC", "TYPE", "HZ", "SIZE", "MBIT/S", "LINK", "READERS", "FROM, TO"]
+    loads = {topic.name: topic.traffic.bytes_per_second if topic.traffic else -1.0 for topic in topics}
+    rows = [_cells(topic) for topic in sorted(topics, key=lambda topic: (-loads[topic.name], topic.name))]
+    return fitted([titles, *rows], ranks=[0, 3, 0, 1, 0, 0, 4, 0], words={"TYPE", "LINK", "FROM, TO"})
 
 
 def _summary(listed: TopicList) -> list[str]:
@@ -226,19 +216,11 @@ def _summary(listed: TopicList) -> list[str]:
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
         lines.append("Not one message arrived: do the nodes publish now?")
     if not any(topic.is_from_robot for topic in listed.topics):
-        lines += wrapped(
-            "No topic seems to be published on this host. A node that is older than an address of this host counts as "
+        lines += [
+            "No topic seems to be published on this host. A node that is older than an address of this host counts as",
             "one beyond: restart it, or set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST here.",
-            100,
-            indent=0,
-        )
+        ]
     return [*lines, "`arpd topics --suggest > arpd.yaml` writes a first configuration from this"]
-
-
-def _order(topic: LinkTopic) -> tuple[bool, float, str]:
-    """Put the heaviest first, and topics of unknown traffic last."""
-    traffic = topic.traffic
-    return traffic is None, -traffic.bytes_per_second if traffic else 0.0, topic.name
 
 
 def _cells(topic: LinkTopic) -> list[str]:
@@ -249,16 +231,11 @@ def _cells(topic: LinkTopic) -> list[str]:
         printable(types, longest=_LONGEST_NAME),
         format_number(traffic.rate_hz if traffic else None),
         format_payload(traffic.mean_bytes if traffic else None),
-        format_payload(traffic.largest_bytes if traffic else None),
-        _mbit(traffic.bytes_per_second * 8e-6) if traffic else "-",
+        format_number(traffic.bytes_per_second * 8e-6 if traffic else None),
         _way(topic),
         f"{len(topic.readers)}+{len(topic.far_readers)}",
         "; ".join(_from(topic)),
     ]
-
-
-def _mbit(mbit_per_second: float) -> str:
-    return f"<{_LEAST_MBIT}" if 0 < mbit_per_second < _LEAST_MBIT else format_number(mbit_per_second)
 
 
 def _way(topic: LinkTopic) -> str:

@@ -1,8 +1,7 @@
-"""Reads what the kernel tells of datagrams, packet sizes and routes, and whether its clock is kept."""
+"""Reads what the kernel tells of datagrams, packet sizes and routes."""
 
 from __future__ import annotations
 
-import ctypes
 import socket
 from ipaddress import ip_address
 from pathlib import Path
@@ -17,8 +16,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PROC = Path("/proc")
 _SYS_NET = Path("/sys/class/net")
-_TIMEX_BYTES = 512  # struct timex (linux/timex.h) has 208 on 64-bit systems
-_TIME_ERROR = 5  # of adjtimex(2): the clock is not synchronised
 _IP_MTU = 14  # linux/in.h
 _DISCARD_PORT = 9  # nothing is sent there
 
@@ -72,20 +69,6 @@ def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
             return ask(asked)
     except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
         return None
-
-
-def _adjtimex() -> int:
-    buffer = ctypes.create_string_buffer(_TIMEX_BYTES)  # zeros: it only asks
-    return int(ctypes.CDLL(None, use_errno=True).adjtimex(buffer))
-
-
-def is_clock_synchronised(ask: Callable[[], int] = _adjtimex) -> bool | None:
-    """Return whether the kernel holds its clock synchronised, as chrony and timesyncd tell it; None = not known."""
-    try:
-        state = ask()
-    except (OSError, AttributeError):
-        return None
-    return None if state < 0 else state != _TIME_ERROR
 
 
 def counters(protocol: str, *, proc: Path = PROC) -> dict[str, int]:

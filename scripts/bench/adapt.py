@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from arpd.govern.what_if import OfflinePlanner
 from arpd.model.wire import wire_size
 from arpd.sim.demo import demo_settings
 from arpd.solve.eq4 import Eq4Problem, rate_of
-from arpd.solve.topics import assumed_traffic
+from arpd.solve.program import Program
+from arpd.solve.topics import assumed_traffic, rows_of_traffic
 from scripts.bench.child import ChildError
 from scripts.bench.harness import errors, queues_s, settled_s
 from scripts.bench.links import CALM_S, DURATION_S, MBIT, SEED, Course, at, links
@@ -67,8 +67,10 @@ def robot_for(way: str, course: Course, robot: Robot) -> Robot:
         )
     if way == "throttle":
         times = np.arange(0.0, DURATION_S, 0.1)
-        plan = OfflinePlanner(demo_settings(), traffic).plan(fmean(at(course, float(now_s))[0] for now_s in times))
-        rates = {row.topic.name.removeprefix(PREFIX): row.rate_hz for row in plan.topics}
+        settings, mean = demo_settings(), fmean(at(course, float(now_s))[0] for now_s in times)
+        rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
+        answer = Program(settings).solve(mean, rows, memory_bytes)
+        rates = {each.name.removeprefix(PREFIX): each.rate_hz for each in answer.topics}
         return replace(
             robot, topics=tuple(replace(each, rate_hz=min(each.rate_hz, rates[each.name])) for each in robot.topics)
         )

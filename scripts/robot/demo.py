@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from arpd.cli.progress import progress
+from arpd.cli.output import progress
 from arpd.model.errors import ArpdError
 from arpd.sim.result import TopicResult
 from arpd.sim.schedule import RateSchedule

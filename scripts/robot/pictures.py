@@ -27,7 +27,7 @@ from rich.screen import Screen
 
 from arpd.cli.client import Daemon
 from arpd.cli.frame import Frame
-from arpd.cli.progress import progress
+from arpd.cli.output import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.links import MBIT
 from scripts.bench.report import REPO

@@ -22,7 +22,7 @@ def on_screen(status, history=None, *, width=110, height=40, **said):
 
 
 def _frame(status, history, **said):
-    return Frame(status=read_status(status, url="-"), history=read_history(history), **said)
+    return Frame(status=read_status(status, source="-"), history=read_history(history), **said)
 
 
 def _lines(shown, width, height):

@@ -7,18 +7,16 @@ import json
 import pytest
 
 from arpd import __version__
-from arpd.cli import checks_link, checkup
-from arpd.cli.checkup import Health, Here
+from arpd.cli import checks, here
 from arpd.cli.doctor import check_up, lines
+from arpd.cli.here import Here
 from arpd.cli.main import _parser
 from arpd.cli.output import WITHOUT_END
 from arpd.host.discovery import HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
-from arpd.ros.installation import PythonRos
 from tests.unit.fake_daemon import document, serving
 
-ROS = PythonRos(python="/venv/python", rclpy="/opt/ros/jazzy/rclpy.py", numpy="1.26.4", rmw="rmw_fastrtps_cpp")
 ACTIVE = ServiceState(is_installed=True, is_enabled=True, active="active")
 DISABLED = ServiceState(is_installed=True, is_enabled=False, active="inactive")
 FAILED = ServiceState(is_installed=True, is_enabled=True, active="failed")
@@ -34,18 +32,16 @@ def computer(monkeypatch):
             monkeypatch.setattr(place, name, reader)
 
     change(
-        checkup,
+        here,
         interface_to=lambda _address: "wlan7",
         likeliest_interface=lambda: "wlan0",
         listen=lambda _name, domain, **_: HeardDiscovery(domain_id=domain, announcers=(), bytes_per_second=0.0),
         service_states=lambda *_: {"arpd": ACTIVE},
-        read_ros=lambda *_: ROS,
-        installed_distros=lambda: ["jazzy"],
     )
-    change(checks_link.kernel, read_mtu=lambda _name: 1500, route_mtu=lambda _address: None)
-    change(checks_link.radio, radios_of=lambda _name: ["wlan0"], power_save=lambda _name: False)
-    change(checks_link.radio, signal=lambda _name: -50, region=lambda _name: "DE")
-    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    change(checks.kernel, read_mtu=lambda _name: 1500, route_mtu=lambda _address: None)
+    change(checks.radio, radios_of=lambda _name: ["wlan0"], power_save=lambda _name: False)
+    change(checks.radio, signal=lambda _name: -50, region=lambda _name: "DE")
+    monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     return change
 
@@ -77,6 +73,9 @@ def healths(found):
     return {about: each.health for about, each in found.items()}
 
 
+WRONG = {"clock", "power save", "mtu", "units", "profile"}
+
+
 def test_an_ill_computer_shows_what_to_do(asked, computer):
     """What is wrong stands first, each with its remedies, then what is not known; what is fine is only counted."""
 
@@ -84,21 +83,20 @@ def test_an_ill_computer_shows_what_to_do(asked, computer):
         raise NotKnownError("nl80211 does not tell it")
 
     looping = ServiceState(is_installed=True, is_enabled=True, active="activating", sub="auto-restart")
-    computer(checkup, service_states=lambda *_: {"arpd": looping})
-    computer(checks_link.kernel, read_mtu=lambda _name: 1280)
-    computer(checks_link.radio, power_save=lambda _name: True, region=refuse)
+    computer(here, service_states=lambda *_: {"arpd": looping})
+    computer(checks.kernel, read_mtu=lambda _name: 1280)
+    computer(checks.radio, power_save=lambda _name: True, region=refuse)
     with serving(json.dumps(status(offset_s=-1.5, lacks_profile=True))) as url:
         found = check_up(asked(url))
-    by_health = {health: {about for about, each in healths(found).items() if each is health} for health in Health}
-    assert by_health[Health.WRONG] == {"clock", "power save", "mtu", "units", "profile"}
-    assert by_health[Health.UNKNOWN] == {"region"}
+    assert {about for about, each in healths(found).items() if each == "wrong"} == WRONG
+    assert {about for about, each in healths(found).items() if each == "unknown"} == {"region"}
     shown = lines(found, width=WITHOUT_END)
     headings = [line.partition(":")[0] for line in shown if not line.startswith("    ")]
     assert headings[:-1] == ["wrong"] * 5 + ["not known"]
-    assert shown[-1] == "5 things to do, 10 checks fine, 1 not known"
+    assert shown[-1] == "5 things to do, 8 checks fine, 1 not known"
     for number in ("1.5 s behind", "1280", "    sudo apt install chrony", "    sudo iw dev wlan0 set power_save off"):
         assert number in "\n".join(shown)
-    assert len(lines(found, width=WITHOUT_END, is_verbose=True)) == len(shown) + 10
+    assert len(lines(found, width=WITHOUT_END, is_verbose=True)) == len(shown) + 8
 
 
 @pytest.mark.parametrize(("answer", "code"), [('{"api_version": "v1", "ready": false}', 503), ("something else", 200)])
@@ -106,8 +104,8 @@ def test_a_daemon_that_does_not_tell_alarms_nobody(asked, answer, code):
     """The clock is not known, and the other checks go on."""
     with serving(answer, code) as url:
         found = check_up(asked(url))
-    assert healths(found)["clock"] is Health.UNKNOWN
-    assert Health.WRONG not in {health for about, health in healths(found).items() if about not in {"versions", "rmw"}}
+    assert healths(found)["clock"] == "unknown"
+    assert "wrong" not in {health for about, health in healths(found).items() if about not in {"versions", "rmw"}}
 
 
 @pytest.mark.parametrize(
@@ -123,11 +121,11 @@ def test_a_daemon_that_does_not_tell_alarms_nobody(asked, answer, code):
 )
 def test_the_units_in_use_tell_the_end(asked, computer, tmp_path, units, is_far):
     """A computer that runs only the peer is the base computer; its configuration is then checked as the far end's."""
-    computer(checkup, service_states=lambda *_: units)
+    computer(here, service_states=lambda *_: units)
     (tmp_path / "arpd.yaml").write_text("link: {interface: of_the_robot0}\n")
-    here = asked()
-    assert here.is_far is is_far
-    assert healths(check_up(here))["configuration"] is (Health.FINE if is_far else Health.WRONG)
+    found = asked()
+    assert found.is_far is is_far
+    assert healths(check_up(found))["configuration"] == ("fine" if is_far else "wrong")
 
 
 @pytest.mark.parametrize("why", ["told not to", "no interface", "no domain"])
@@ -136,9 +134,9 @@ def test_what_cannot_be_listened_to_is_not_known(asked, computer, monkeypatch, w
     if why == "no domain":
         monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     elif why == "no interface":
-        computer(checkup, likeliest_interface=lambda: None)
+        computer(here, likeliest_interface=lambda: None)
     found = healths(check_up(asked("http://127.0.0.1:1", *(["--listen", "0"] if why == "told not to" else []))))
-    assert (found["discovery"], found["transports"]) == (Health.UNKNOWN, Health.UNKNOWN)
+    assert (found["discovery"], found["transports"]) == ("unknown", "unknown")
 
 
 def test_the_command_prints_and_exits(run, tmp_path):

@@ -51,17 +51,21 @@ def test_the_document_has_everything(simulate):
     document = json.loads(out, parse_constant=pytest.fail)
     assert code == 0
     assert (document["trace"], document["duration_s"], document["seed"]) == ("walk.csv", 20.0, 3)
-    assert tuple(document["ways"]) == WAYS
+    assert set(document["ways"]) == set(WAYS)
     for way in document["ways"].values():
         assert {len(column) for column in way["course"].values()} == {200}
         assert [topic["topic"] for topic in way["topics"]] == ["/camera", "/scan", "/cmd_vel"]
-    arpd, without, oracle = document["ways"].values()
-    assert "estimate_bytes_per_second" not in without["course"]
+    arpd, without, oracle = (document["ways"][way] for way in WAYS)
+    assert set(without["course"]["estimate_bytes_per_second"]) == {None}
     assert oracle["summary"]["error_p90"] < 1e-9 < arpd["summary"]["error_p90"]
     assert arpd["course"]["truth_bytes_per_second"][0] == 1e6
     assert arpd["course"]["truth_bytes_per_second"][-1] == 2.5e5
     assert document["events"][0]["what"] == "start"
-    assert [topic["link_topic"] for topic in document["robot"]["topics"]] == ["/link/camera", "/scan", "/cmd_vel"]
+    assert [topic["prefix"] + topic["name"] for topic in document["robot"]["topics"]] == [
+        "/link/camera",
+        "/scan",
+        "/cmd_vel",
+    ]
 
 
 def test_the_same_seed_gives_the_same_document(simulate):
@@ -80,7 +84,7 @@ def test_without_a_configuration_the_demo_robot_plays(simulate, files, monkeypat
     """A default configuration that exists is read, one that is named must exist, and the demo's fills in."""
     monkeypatch.setattr(options, "DEFAULT_CONFIG", files / "nosuch.yaml")
     code, out, _ = simulate("--rate", "0:20mbit", *QUICK, config="empty.yaml")
-    assert (code, "the demo robot, 12 topics" in out) == (0, True)
+    assert (code, "the demo robot; " in out) == (0, True)
     code, _, err = simulate("--rate", "0:20mbit", *QUICK, config="nosuch.yaml")
     assert (code, err.startswith("nosuch.yaml:1:1: file: ")) == (78, True)
     monkeypatch.setattr(options, "DEFAULT_CONFIG", files / "tiny.yaml")

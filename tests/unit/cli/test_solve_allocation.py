@@ -9,8 +9,10 @@ from functools import partial
 
 import pytest
 
+from arpd.model.endpoints import Direction
 from arpd.model.settings import Backend
-from tests.golden.sample import status_of
+from tests.sample_publishers import publisher
+from tests.unit.fake_daemon import document
 
 MBIT = 125_000.0  # bytes
 SMALL = """\
@@ -35,50 +37,38 @@ def allocation(solve):
     def allocation(*arguments):
         code, out, _ = solve(*arguments, "--json")
         assert code == 0
-        document = json.loads(out)
-        return document, {row["topic"]: row for row in document["topics"]}
+        plan = json.loads(out)
+        return plan, {row["topic"]: row for row in plan["topics"]}
 
     return allocation
 
 
 @pytest.fixture
 def status(tmp_path):
-    """Save a status document, as ``arpd status --json > robot.json`` does."""
+    """Save the status of a daemon with these publishers, as ``arpd status --json > robot.json`` does."""
 
-    def status(*rows, **document):
+    def status(*publishers):
         path = tmp_path / "robot.json"
-        path.write_text(json.dumps({"api_version": "v1", "topics": list(rows), **document}))
+        path.write_text(json.dumps(document(observation={"publishers": publishers})))
         return path
 
     return status
 
 
-def measured(topic="/scan", **fields):
-    publisher = {
-        "topic": topic,
-        "node": "/driver",
-        "direction": "sensing",
-        "payload_bytes": 6000.0,
-        "source_rate_hz": 20.0,
-        "remote_readers": 1,
-        "type_name": "",
-        "depth": 1,
-        "baseline_depth": 1,
-        **fields,
-    }
-    return {"topic": topic, "confirmed": publisher}
+def measured(topic="/scan", node="/driver", **fields):
+    return publisher(node, topic, **{"payload_bytes": 6000.0, "source_rate_hz": 20.0, "remote_readers": 1} | fields)
 
 
-def test_several_capacities_are_a_list_or_columns(solve, config):
-    """Each capacity has an allocation in JSON, and a column of rates in the table."""
+def test_several_capacities_are_a_list_or_tables(solve, config):
+    """Each capacity has an allocation in JSON, and a table of its own."""
     code, out, _ = solve("--config", config(), "--capacity", "0.5mbit,2mbit,54mbit", "--json")
     documents = json.loads(out)
     assert (code, [each["capacity_bytes_per_second"] / MBIT for each in documents]) == (0, [0.5, 2, 54])
     assert all(each["share"] <= 0.85 + 1e-9 for each in documents)
     _, out, _ = solve("--config", config(), "--capacity", "0.5mbit,54mbit")
-    (scan,) = (line.split() for line in out.splitlines() if line.startswith("/scan"))
-    assert scan[-1] == "20="
-    assert "500 kbit/s: " in out  # what gave way there
+    slow, fast = (line.split() for line in out.splitlines() if line.startswith("/scan"))
+    assert (slow[5], fast[5]) == ("paused", "20")
+    assert "gave way: " in out
 
 
 def test_topics_of_which_nothing_is_known_are_left_out_and_named(solve, config):
@@ -96,9 +86,9 @@ def test_a_saved_status_says_what_topics_publish(allocation, config, status):
     path = status(
         measured("/scan", payload_bytes=500.0, source_rate_hz=40.0),
         measured("/scan", node="/other", payload_bytes=400.0, remote_readers=2),
-        measured("/new", direction="actuation", requested_deadline_ns=30_000_000),
+        measured("/new", direction=Direction.ACTUATION, requested_deadline_ns=30_000_000),
     )
-    document, topics = allocation("--config", config(), "--status", path, "--capacity", "54mbit")
+    plan, topics = allocation("--config", config(), "--status", path, "--capacity", "54mbit")
     assert list(topics) == ["/camera", "/cmd_vel", "/new", "/scan"]
     assert (topics["/scan"]["payload_bytes"], topics["/scan"]["source_rate_hz"], topics["/scan"]["copies"]) == (
         500.0,
@@ -107,38 +97,26 @@ def test_a_saved_status_says_what_topics_publish(allocation, config, status):
     )
     assert topics["/camera"]["payload_bytes"] == 30_000.0
     assert (topics["/new"]["weight"], topics["/new"]["deadline_ns"]) == (1.0, 30_000_000)
-    assert document["left_out"] == []
-
-
-def test_a_real_status_document_is_understood(allocation, config, tmp_path, sample_snapshot):
-    """The command reads what the daemon serves."""
-    path = tmp_path / "robot.json"
-    path.write_text(json.dumps(status_of(sample_snapshot)))
-    _, topics = allocation("--config", config("{}"), "--status", path, "--capacity", "5mbit")
-    crossing = {p.topic for p in sample_snapshot.observation.publishers if p.direction != "local"}
-    assert set(topics) == {p.topic for p in sample_snapshot.observation.publishers if p.topic in crossing}
+    assert plan["left_out"] == []
 
 
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
-        ("", "is no status of arpd (file: "),
-        ('{"api_version": "v1", "ready": false}', "was saved before"),
-        (json.dumps({"api_version": "v1", "topics": [measured(), {}]}), "is no status of arpd (topics.1.confirmed: "),
-        (
-            json.dumps({"api_version": "v1", "topics": [measured(source_rate_hz=float("nan"))]}),
-            "is no status of arpd (",
-        ),
+        ("[1]", "is no status of"),
+        ('{"api_version": "v1", "ready": false}', "is no status of"),
+        ('{"api_version": "v1", "topics": [{}]}', "says is of another version"),
     ],
-    ids=range(4),
+    ids=range(3),
 )
-def test_a_file_that_is_no_status_exits_1_with_its_place(solve, config, tmp_path, text, wrong):
-    """The error names the file and the place in it."""
+def test_a_file_that_is_no_status_exits_1(solve, config, tmp_path, text, wrong):
+    """The error names the file, and what is wrong."""
     path = tmp_path / "robot.json"
     path.write_text(text)
     code, out, err = solve("--config", config(), "--status", path, "--capacity", "5mbit")
     assert (code, out) == (1, "")
-    assert err.startswith(f"arpd: {path}: {wrong}")
+    assert str(path) in err
+    assert wrong in err
     assert err.strip().isprintable()
 
 
@@ -157,9 +135,9 @@ def test_every_back_end_prints_the_same_digits(allocation, config):
     """Rates and shares agree to a millionth, and each back end has found its own."""
     path, found = config(), {}
     for backend in Backend:
-        document, found[backend] = allocation("--config", path, "--capacity", "2mbit", "--backend", backend)
-        assert document["backend"] == backend
+        plan, found[backend] = allocation("--config", path, "--capacity", "2mbit", "--backend", backend)
+        assert plan["allocation"]["backend"] == backend
     for topics in found.values():
         for name, row in topics.items():
-            for key in ("optimal_rate_hz", "share", "deadline_ns", "optimal_depth"):
+            for key in ("rate_hz", "share", "deadline_ns", "depth"):
                 assert row[key] == pytest.approx(found[Backend.OSQP][name][key], rel=1e-6)

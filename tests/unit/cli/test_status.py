@@ -144,7 +144,7 @@ def test_what_never_becomes_an_answer_is_none(run):
 def test_a_password_does_not_cross_the_network_in_clear(run, monkeypatch, command):
     """Without TLS it goes to this computer only, or where the user says so."""
     monkeypatch.setenv("ARPD_PASSWORD", "secret")
-    monkeypatch.setattr(client.Daemon, "_ask", lambda *_: pytest.fail("it asks"))
+    monkeypatch.setattr(client.Daemon, "_answer", lambda *_: pytest.fail("it asks"))
     for url in ("http://robot.local:9464", "HTTP://192.0.2.1:9464", "http://127.0.0.1.example:9464"):
         code, out, err = run(*command, "--url", url, "--user", "alice")
         assert (code, out) == (2, "")
@@ -159,13 +159,13 @@ def test_a_password_goes_where_the_user_lets_it(run, monkeypatch):
 
     def ask(daemon, _path):
         asked.append(daemon.url)
-        raise ConnectionRefusedError
+        return {"api_version": "v1", "ready": False}
 
-    monkeypatch.setattr(client.Daemon, "_ask", ask)
+    monkeypatch.setattr(client.Daemon, "_answer", ask)
     wanted = ["http://127.0.0.2:1", "http://[::1]:1", "http://localhost:1", "https://robot:1", "http://robot:1"]
     for url in wanted:
         run("status", "--user", "alice", "--url", url, *(["--password-in-clear"] if url == wanted[-1] else []))
-    assert asked == wanted
+    assert list(dict.fromkeys(asked)) == wanted
 
 
 @pytest.mark.parametrize("url", ["localhost:9464", "file:///etc/passwd", "http://[::1", "http://a b/"])

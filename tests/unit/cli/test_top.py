@@ -13,14 +13,9 @@ import struct
 import subprocess
 import sys
 import termios
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from arpd.cli import client
-from arpd.cli.client import Daemon
-from arpd.model.errors import NoAnswerError
 from tests.unit.fake_daemon import HISTORY, busy, serving
 from tests.waiting import eventually
 
@@ -32,67 +27,6 @@ def daemon():
     """Serve a document and a history."""
     with serving(json.dumps(busy()), history=json.dumps(HISTORY)) as url:
         yield url
-
-
-class Keeping(BaseHTTPRequestHandler):
-    """A daemon that keeps connections, and closes them where a test says so."""
-
-    protocol_version = "HTTP/1.1"
-
-    def setup(self):
-        super().setup()
-        self.server.connections += 1
-
-    def do_GET(self):
-        self.server.questions += 1
-        if self.server.questions == self.server.hangs_at:
-            self.server.may_answer.wait()
-        body = json.dumps(busy()).encode()
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        with contextlib.suppress(OSError):  # who asked has given up
-            self.wfile.write(body)
-        self.close_connection = self.server.closes
-
-    def log_message(self, *_arguments):
-        pass
-
-
-@pytest.fixture
-def keeping():
-    """Serve a daemon that keeps connections."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Keeping)
-    server.connections = server.questions = server.hangs_at = 0
-    server.closes, server.daemon_threads, server.may_answer = False, True, threading.Event()
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-    with Daemon(f"http://127.0.0.1:{server.server_address[1]}") as daemon:
-        yield server, daemon
-    server.may_answer.set()
-    server.shutdown()
-    server.server_close()
-
-
-@pytest.mark.parametrize(("closes", "connections"), [(False, 1), (True, 3)])
-def test_questions_share_a_connection_while_the_daemon_keeps_it(keeping, closes, connections):
-    """One that it has closed is opened again, without a word."""
-    server, daemon = keeping
-    server.closes = closes
-    for _ in range(3):
-        assert daemon.status().version == "1.2.3"
-    assert server.connections == connections
-
-
-def test_a_question_without_an_answer_does_not_disturb_the_next(keeping, monkeypatch):
-    """The connection on which one is late is given up, and nothing is asked twice."""
-    monkeypatch.setattr(client, "_DEADLINE_S", 0.3)
-    server, daemon = keeping
-    server.hangs_at = 2
-    assert daemon.status().version == "1.2.3"
-    with pytest.raises(NoAnswerError, match="timed out"):
-        daemon.status()
-    assert daemon.status().version == "1.2.3"
-    assert (server.questions, server.connections) == (3, 2)
 
 
 @pytest.mark.parametrize(("is_terminal", "kind"), [(False, "xterm"), (True, "dumb")])

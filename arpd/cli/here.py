@@ -1,13 +1,10 @@
-"""What the checks of `arpd doctor` look at, and what each of them finds."""
+"""What the checks of `arpd doctor` judge: this computer, its configuration, and what the daemon tells."""
 
 from __future__ import annotations
 
 import os
-import sys
-from enum import StrEnum
-from functools import cached_property, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from arpd.cli.client import connect
 from arpd.cli.options import DEFAULT_URL, host_of, is_here
@@ -18,45 +15,17 @@ from arpd.host.kernel import interface_to
 from arpd.host.services import service_states
 from arpd.model.errors import ArpdError, ConfigError, NoAnswerError, NotKnownError, UsageError
 from arpd.model.settings import AUTO, Settings
-from arpd.ros.installation import SYSTEM_PYTHON, installed_distros, read_ros
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
     from arpd.host.discovery import HeardDiscovery
-    from arpd.ros.installation import PythonRos
     from arpd.web.api import Status
 
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
 _UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
 _UNITS_OF_BASE = {"arpd-peer", "arpd-relay-far"}
-
-
-class Health(StrEnum):
-    """Result of one check, the worst last."""
-
-    FINE = "fine"
-    UNKNOWN = "unknown"
-    WRONG = "wrong"  # somebody should do something
-
-
-class Finding(NamedTuple):
-    """Result of one check, and the lines to type, or to do: the first one mends it now, others for good.
-
-    Nothing that came from the network stands in a line: people copy them into a shell.
-    """
-
-    health: Health
-    text: str
-    remedies: tuple[str, ...] = ()
-
-
-fine, unknown = partial(Finding, Health.FINE), partial(Finding, Health.UNKNOWN)  # with the reason why
-
-
-def wrong(text: str, *remedies: str) -> Finding:
-    """Find that something should be done."""
-    return Finding(Health.WRONG, text, remedies)
 
 
 class Here:
@@ -68,19 +37,16 @@ class Here:
     """
 
     def __init__(self, options: argparse.Namespace) -> None:
-        self._options = options
-        url_host = host_of(options.url)
-        self._is_remote = bool(url_host) and not is_here(options.url)
+        self._options, self._is_remote = options, not is_here(options.url)
         self.config_path: Path = options.config
         states = service_states(*_UNITS)
-        self.has_systemd = bool(states)
-        self.units = {name: unit for name, unit in states.items() if unit.is_installed}
-        used = {name for name, unit in self.units.items() if unit.is_enabled or unit.active != "inactive"}
+        self.units = {name: unit for name, unit in states.items() if unit.is_installed} if states else None
+        used = {name for name, unit in states.items() if unit.is_enabled or unit.active != "inactive"}
         self.is_far = options.far or self._is_remote or (bool(used) and used <= _UNITS_OF_BASE)
         self.settings, self.faults = self._configuration()
         self.told = self._ask()
         relay = self.settings.relay
-        self.other_end = (url_host if self._is_remote else relay.robot) if self.is_far else relay.base
+        self.other_end = (host_of(options.url) if self._is_remote else relay.robot) if self.is_far else relay.base
         self.found_interface: str = options.interface or self._find_interface()
 
     @property
@@ -102,26 +68,9 @@ class Here:
         """Discovery on the link."""
         if not self._options.listen:
             raise NotKnownError("--listen 0 asks not to listen")
-        interface = self.interface
         if (domain_id := local_domain(os.environ)) is None:
             raise NotKnownError("ROS_DOMAIN_ID is no number")
-        return listen(interface, domain_id, duration_s=self._options.listen)
-
-    @cached_property
-    def distros(self) -> list[str]:
-        """Distributions of ROS under /opt/ros."""
-        return installed_distros()
-
-    @cached_property
-    def pythons(self) -> list[PythonRos]:
-        """ROS as this Python sees it, and as the system's does where that is another one and ROS comes from apt.
-
-        The Python of a virtual environment is a link to the system's, but in another folder, and has other packages.
-        """
-        own, system = Path(sys.executable), SYSTEM_PYTHON
-        is_another = (own.parent.resolve(), own.resolve()) != (system.parent.resolve(), system.resolve())
-        has_both = is_another and system.exists() and self.distros
-        return [read_ros(), *([read_ros(str(system))] if has_both else [])]
+        return listen(self.interface, domain_id, duration_s=self._options.listen)
 
     def _configuration(self) -> tuple[Settings, list[str] | None]:
         """Return the settings, and the faults of their file, None where it cannot be read."""
