@@ -45,8 +45,8 @@ Run on the robot while its nodes run. List the topics that cross the link or cou
 that are published on this host are measured for some seconds; those of the other side are not, because that would bring
 them over the link once more. No daemon is needed, and nothing is changed. Drivers that work only for readers (such as
 image_transport's compressed pictures) work meanwhile; a large topic is read until 32 MB and ten messages have come.
---suggest writes a first configuration instead, for a robot that has none: weight, minimum and highest rate of a topic
-are guessed by its type and its measured rate, each with its reason.
+--suggest writes a first configuration instead, for a robot that has none: weight and minimum rate of a topic are
+guessed by its type and its measured rate, each with its reason.
 
 examples:
   arpd topics

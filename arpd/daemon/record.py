@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from arpd.daemon.world import World
     from arpd.govern.governor import Governor
-    from arpd.report.conditions import Finding
-    from arpd.report.events import Event
+    from arpd.report.conditions import Event, Finding
     from arpd.report.snapshot import Snapshot
     from arpd.solve.program import Program
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
-    from arpd.report.events import Event
+    from arpd.report.conditions import Event
     from arpd.report.history import History
     from arpd.sim.baselines import Oracle
     from arpd.solve.link import Link

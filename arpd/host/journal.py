@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from logging_journald import Facility, JournaldTransport
 
-from arpd.report.conditions import MESSAGE_IDS, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import MESSAGE_IDS, Event, Severity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.model.quantities import format_duration
-from arpd.report.conditions import MESSAGE_IDS, Condition, Finding, Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import MESSAGE_IDS, Condition, Event, Finding, Happening, Severity
 from arpd.report.log_plan import PlanLog
 from arpd.report.log_rates import RatesLog
 from arpd.report.log_swaps import SwapLog
 from arpd.report.situation import HIDDEN_WHILE_CUT, is_cut, lasting
-from arpd.report.waiting import is_reported
 from arpd.report.wording import count, one_line
 
 if TYPE_CHECKING:
@@ -23,60 +21,80 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 MOST_EVENTS = 200  # kept
-MOST_A_MINUTE = 12  # of each kind; one event then counts the rest of that minute
+MOST_A_MINUTE = 12  # of each kind
 _MINUTE_S = 60.0
 _MOST_DETAIL = 200  # characters
 
 
 class DecisionLog:
-    """Finds the events between successive snapshots, and keeps the last of them."""
+    """Finds the events between successive snapshots, and keeps the last of them.
+
+    A condition that begins once more than it may is told later, if it still holds, and its end only after its begin.
+    Other events that are too many are left out, and the next one of their kind says how many.
+
+    Attributes
+    ----------
+    events : the last events, oldest first
+    counts_by_kind : events since the start; kinds without any count 0
+    """
 
     def __init__(self) -> None:
-        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
-        self._counts = dict.fromkeys(MESSAGE_IDS, 0)
-        self._limits: dict[Condition | Happening, _Limit] = {}
-        self._logs = (ConditionLog(), PlanLog(), SwapLog(), RatesLog())
+        self.events: tuple[Event, ...] = ()
+        self.counts_by_kind: Mapping[str, int] = MappingProxyType(dict.fromkeys(MESSAGE_IDS, 0))
+        self._logs = (PlanLog(), SwapLog(), RatesLog())
+        self._begun: dict[Condition, Finding] = {}
+        self._passed_s: dict[str, deque[float]] = {kind: deque(maxlen=MOST_A_MINUTE) for kind in MESSAGE_IDS}
+        self._left_out: Counter[str] = Counter()
         self._number = 0
-        self._kept: tuple[Event, ...] = ()
-        self._counted: Mapping[str, int] = MappingProxyType(dict(self._counts))
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """The last events, oldest first."""
-        return self._kept
-
-    @property
-    def counts_by_kind(self) -> Mapping[str, int]:
-        """Events since the start, by kind; kinds without any count 0."""
-        return self._counted
 
     def follow(self, snapshot: Snapshot) -> tuple[Event, ...]:
         """Take in the next snapshot and return what happened since the last one."""
-        found = [_started(snapshot)] if not self._number else []
+        found = [] if self._number else [_started(snapshot)]
+        found += self._ended(snapshot)
+        found += self._began(snapshot)
         for log in self._logs:
-            found += log.follow(snapshot)
-        now_s = snapshot.finished_at_s
-        passed = [event for event in found if self._limits.setdefault(event.kind, _Limit()).passes(now_s)]
-        passed += self._counts_of_the_rest(snapshot)
-        events = tuple(self._numbered(event, snapshot) for event in passed)
+            found += filter(None, (self._limited(event, snapshot) for event in log.follow(snapshot)))
+        events = tuple(self._numbered(event, snapshot) for event in found)
         if events:
-            self._events.extend(events)
-            self._kept, self._counted = tuple(self._events), MappingProxyType(dict(self._counts))
+            self.events = (*self.events, *events)[-MOST_EVENTS:]
+            counts: Counter[str] = Counter(event.kind for event in events)
+            self.counts_by_kind = MappingProxyType({k: many + counts[k] for k, many in self.counts_by_kind.items()})
         return events
 
-    def _counts_of_the_rest(self, snapshot: Snapshot) -> Iterator[Event]:
-        for kind, limit in self._limits.items():
-            if not (number := limit.omitted_until(snapshot.finished_at_s)):
-                continue
-            text = f"{count(number, 'more event', 'more events')} of the kind {kind} in the last minute"
-            if isinstance(kind, Condition):
-                holds = any(finding.condition is kind for finding in lasting(snapshot))
-                text += f"; now: {kind.phrase if holds else kind.ended}"
-            yield Event(kind, Severity.WARNING, text, details={"omitted": str(number)})
+    def _ended(self, snapshot: Snapshot) -> Iterator[Event]:
+        known = {finding.condition for finding in snapshot.found} | (HIDDEN_WHILE_CUT if is_cut(snapshot) else set())
+        for condition in [each for each in self._begun if each not in known]:
+            begun = self._begun.pop(condition)
+            if condition is not Condition.POSTPONED:  # which the next plan ends
+                yield _end(condition, snapshot.finished_at_s - begun.since_s)
+
+    def _began(self, snapshot: Snapshot) -> Iterator[Event]:
+        for finding in lasting(snapshot):
+            condition, before = finding.condition, self._begun.get(finding.condition)
+            is_new = before is None or before.about != finding.about
+            if is_new and self._has_room(condition, snapshot.finished_at_s):
+                since_s = min(finding.since_s, before.since_s if before else finding.since_s)
+                self._begun[condition] = replace(finding, since_s=since_s)
+                yield Event(condition, condition.severity, finding.phrase, details={"state": "began"})
+
+    def _limited(self, event: Event, snapshot: Snapshot) -> Event | None:
+        if not self._has_room(event.kind, snapshot.finished_at_s):
+            self._left_out[event.kind] += 1
+            return None
+        if not (number := self._left_out.pop(event.kind, 0)):
+            return event
+        text = f"after {count(number, 'more event', 'more events')} of the kind {event.kind}: {event.text}"
+        return replace(event, text=text, details={**event.details, "omitted": str(number)})
+
+    def _has_room(self, kind: str, now_s: float) -> bool:
+        passed_s = self._passed_s[kind]
+        if len(passed_s) == MOST_A_MINUTE and now_s - passed_s[0] < _MINUTE_S:
+            return False
+        passed_s.append(now_s)
+        return True
 
     def _numbered(self, event: Event, snapshot: Snapshot) -> Event:
         self._number += 1
-        self._counts[event.kind] += 1
         return replace(
             event,
             number=self._number,
@@ -87,66 +105,9 @@ class DecisionLog:
         )
 
 
-class ConditionLog:
-    """Begin and end of each condition: it begins once it has held for its time, and ends when it is gone."""
-
-    def __init__(self) -> None:
-        self._begun: dict[Condition, Finding] = {}
-
-    def follow(self, snapshot: Snapshot) -> Iterator[Event]:
-        """Return what happened since the snapshot before."""
-        known = {finding.condition for finding in snapshot.found} | (HIDDEN_WHILE_CUT if is_cut(snapshot) else set())
-        for condition in [each for each in self._begun if each not in known]:
-            begun = self._begun.pop(condition)
-            if condition is not Condition.POSTPONED:  # which the next plan ends
-                yield _end(condition, snapshot.finished_at_s - begun.since_s, snapshot)
-        for finding in lasting(snapshot):
-            condition = finding.condition
-            before = self._begun.get(condition, finding)
-            if condition in self._begun and before.about == finding.about:
-                continue
-            self._begun[condition] = replace(finding, since_s=min(before.since_s, finding.since_s))
-            yield Event(condition, condition.severity, finding.phrase, details={"state": "began"})
-
-
-def _end(condition: Condition, lasted_s: float, snapshot: Snapshot) -> Event:
-    ended = condition.ended
-    if condition is Condition.OUTAGE and not is_reported(snapshot):
-        # Nothing was measured: the sentence must not claim that the link is well.
-        ended = "no outage any longer, although no peer reports: other hosts answer, or nobody is left to wait for"
-    text = f"{ended}, after {format_duration(lasted_s)}"
+def _end(condition: Condition, lasted_s: float) -> Event:
+    text = f"ended after {format_duration(lasted_s)}: {condition.phrase}"
     return Event(condition, Severity.INFO, text, details={"state": "ended", "seconds": f"{lasted_s:.3f}"})
-
-
-class _Limit:
-    """Lets so many events of a kind pass in any minute and counts the rest, until that count has been logged."""
-
-    def __init__(self) -> None:
-        self._passed_s: deque[float] = deque(maxlen=MOST_A_MINUTE)
-        self._omitted = 0
-        self._omitted_since_s = 0.0
-
-    def passes(self, now_s: float) -> bool:
-        """Return whether one more may pass now; otherwise count it."""
-        if not self._omitted and not self._is_full(now_s):
-            self._passed_s.append(now_s)
-            return True
-        if not self._omitted:
-            self._omitted_since_s = now_s
-        self._omitted += 1
-        return False
-
-    def omitted_until(self, now_s: float) -> int:
-        """Return how many did not pass, once a minute is over and there is room to say so; 0 until then."""
-        if not self._omitted or now_s - self._omitted_since_s < _MINUTE_S or self._is_full(now_s):
-            return 0
-        self._passed_s.append(now_s)
-        omitted, self._omitted = self._omitted, 0
-        return omitted
-
-    def _is_full(self, now_s: float) -> bool:
-        passed = self._passed_s
-        return len(passed) == passed.maxlen and now_s - passed[0] < _MINUTE_S
 
 
 def _started(snapshot: Snapshot) -> Event:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.report.conditions import Condition, Severity
@@ -35,21 +34,13 @@ class Level(IntEnum):
 _LEVEL_OF = {Severity.INFO: Level.OK, Severity.WARNING: Level.WARN, Severity.ERROR: Level.ERROR}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Status:
-    """One part of the daemon.
-
-    Parameters
-    ----------
-    name : "arpd: link"; an aggregator sorts by it
-    message : one line
-    values : further facts, in order
-    """
+class Status(NamedTuple):
+    """One part of the daemon; an aggregator sorts by its name, "arpd: link", and its values stand in order."""
 
     name: str
     level: Level
     message: str
-    values: tuple[tuple[str, str], ...] = ()
+    values: dict[str, str]
 
 
 def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
@@ -60,27 +51,18 @@ def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
     now_s : monotonic clock (s)
     """
     if snapshot is None:
-        return tuple(Status(name=f"arpd: {part}", level=Level.STALE, message="starting") for part in _PARTS)
+        return tuple(Status(f"arpd: {part}", Level.STALE, "starting", {}) for part in _PARTS)
     situation = judge(snapshot, now_s=now_s)
     stale = next((each.text for each in situation.faults if each.condition is Condition.STALE), "")
-    values = (
-        _of_link(snapshot),
-        _of_plan(snapshot, situation),
-        _of_configuration(snapshot),
-        {
-            f"{each.number}: {_time(each.unix_time_s)} {each.kind}": each.text
-            for each in reversed(snapshot.events[-_MOST_EVENTS:])
-        },
-    )
+    events = {
+        f"{each.number}: {_time(each.unix_time_s)} {each.kind}": each.text
+        for each in reversed(snapshot.events[-_MOST_EVENTS:])
+    }
+    facts = (_of_link(snapshot), _of_plan(snapshot, situation), _of_configuration(snapshot), events)
     judged = (_level(part, snapshot, situation, now_s=now_s) for part in _PARTS)
     return tuple(
-        Status(
-            name=f"arpd: {part}",
-            level=Level.STALE if stale else level,
-            message=stale or message,
-            values=tuple(facts.items()),
-        )
-        for part, (level, message), facts in zip(_PARTS, judged, values, strict=True)
+        Status(f"arpd: {part}", Level.STALE if stale else level, stale or message, values)
+        for part, (level, message), values in zip(_PARTS, judged, facts, strict=True)
     )
 
 
@@ -104,14 +86,10 @@ def _of_link(snapshot: Snapshot) -> dict[str, str]:
         "interface": snapshot.interface,
         "capacity": format_rate(link.capacity_bytes_per_second),
         "known from": f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind),
-        "known for": format_duration(link.age_s),
-        "left for topics": format_rate(link.available_bytes_per_second),
         "budget of topics": format_rate(snapshot.allocation.capacity_bytes_per_second),
         "cross traffic": format_rate(link.cross_traffic_bytes_per_second),
-        "delivered": format_rate(link.delivery_rate_bytes_per_second),
         "queue delay": format_duration(link.queue_delay_s),
         "loss": "unknown" if link.loss_ratio is None else format_share(link.loss_ratio),
-        "return delay": "unknown" if link.return_delay_s is None else format_duration(link.return_delay_s),
         "peers": ", ".join(f"{peer} ({format_duration(age_s)} ago)" for peer, age_s in peers) or "none",
     }
 
@@ -120,11 +98,8 @@ def _of_plan(snapshot: Snapshot, situation: Situation) -> dict[str, str]:
     decision, slowed = snapshot.decision, situation.slowed
     return {
         "plan": str(decision.plan.generation),
-        "made for": format_rate(decision.plan.level_bytes_per_second),
-        "bound by": str(snapshot.allocation.binding),
         "allowed above the minimum rates": format_share(decision.allowed),
         "publishers confirmed": f"{snapshot.confirmed} of {snapshot.managed}",
-        "waits for": ", ".join(decision.refusals) or "nothing",
         **{
             each.topic: f"{format_number(each.rate_hz)} of {format_number(each.source_hz)} Hz"
             for each in slowed[:_MOST_TOPICS]
@@ -137,7 +112,6 @@ def _of_configuration(snapshot: Snapshot) -> dict[str, str]:
     return {
         "file": snapshot.config_path,
         "read at": _time(snapshot.config_loaded_at_s),
-        "refused": snapshot.config_error or "no",
         "after a restart": ", ".join(snapshot.keys_awaiting_restart) or "nothing",
         "version": snapshot.version,
     }

@@ -1,31 +1,114 @@
-"""First preferences for the topics of a robot that has none: weight, floor and ceiling, each with its reason."""
+"""First preferences for the topics of a robot that has none: by the role that each seems to have, with the reason."""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from arpd.model.names import LONGEST_NAME, is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate
-from arpd.model.settings import TopicGroup
+from arpd.model.settings import TopicGroup, TopicSettings
 from arpd.model.wire import wire_size
-from arpd.report.topic_roles import Role, role_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from arpd.model.link_topics import LinkTopic
 
 WEAK_LINK_BYTES_PER_SECOND = 2e6 / 8  # what a robot still gets at the edge of its Wi-Fi
+_FELT_BYTES_PER_SECOND = 1e6 / 8  # a part of weak Wi-Fi that other topics feel
 _FLOOD_BYTES_PER_SECOND = 20e6 / 8
 _LEAST_FLOOR_HZ = 0.01
 _LARGE_BYTES = 100e3
 _LARGE_DEPTH = 5
-_MARGIN = 1.1  # of the highest useful rate above the measured one, for jitter
 _SAME_RATE = 0.2  # by which the rates of a picture and of its camera_info may differ
 _INFO, _INFO_TYPE = "/camera_info", "sensor_msgs/msg/CameraInfo"
-_PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_PICTURE_TYPES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")  # the one that suits Wi-Fi best first
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Role:
+    """Use of a topic, and what suits it.
+
+    Parameters
+    ----------
+    reason : why, for a comment
+    weight, latency_budget_s : as in the configuration
+    share : floor as a part of the measured rate, within the next two
+    least_hz, most_hz : bounds of the floor; it never exceeds the measured rate (Hz)
+    most_kbit : further bound of the floor, on the wire: large samples are few (kbit/s)
+    """
+
+    reason: str
+    weight: float
+    share: float = 1.0
+    least_hz: float
+    most_hz: float
+    most_kbit: float = math.inf
+    latency_budget_s: float = 1.0
+
+
+COMMAND = Role(
+    reason="a command: a late one is dangerous, so it comes first and only the newest ones count",
+    weight=10,
+    least_hz=20,
+    most_hz=20,
+    latency_budget_s=0.2,
+)
+TRANSFORM = Role(
+    reason="transforms, or time: each message may hold other frames, and others wait for it",
+    weight=6,
+    least_hz=10,
+    most_hz=100,
+)
+STATE = Role(
+    reason="the robot's motion, or a reading: small, and control needs it fresh",
+    weight=5,
+    share=0.25,
+    least_hz=5,
+    most_hz=30,
+    most_kbit=200,
+)
+LATCHED = Role(  # which it keeps although it is silent
+    reason="latched: readers keep the newest one, so each should arrive", weight=4, least_hz=1, most_hz=10, most_kbit=50
+)
+PERCEPTION = Role(
+    reason="what the robot sees, in few bytes: useful at a lower rate, too",
+    weight=3,
+    share=0.25,
+    least_hz=1,
+    most_hz=5,
+    most_kbit=250,
+)
+OTHER = Role(reason="a type that arpd does not know: please judge", weight=2, least_hz=1, most_hz=1, most_kbit=50)
+VIDEO = Role(
+    reason="WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key frame: "
+    "its minimum rate is all it sends. If that is too much, let the encoder send less, or send pictures",
+    weight=1,
+    least_hz=0,
+    most_hz=math.inf,
+)
+PICTURE = Role(
+    reason="large: it takes what the others leave", weight=1, share=0.1, least_hz=0.5, most_hz=2, most_kbit=400
+)
+DIAGNOSTIC = Role(
+    reason="diagnostics: nobody waits for them", weight=0.5, share=0.2, least_hz=0.2, most_hz=0.5, most_kbit=50
+)
+_BY_TYPE: tuple[tuple[Role, str], ...] = (
+    (TRANSFORM, r"tf2?_msgs/msg/TFMessage|rosgraph_msgs/msg/Clock"),
+    (COMMAND, r"geometry_msgs/msg/Twist(Stamped)?|(ackermann|trajectory|control)_msgs/.*|sensor_msgs/msg/Joy"),
+    (VIDEO, r"(ffmpeg|theora)_image_transport(_msgs)?/.*|.*/\w*Video\w*|\w*audio\w*/.*"),
+    (PICTURE, r".*(Image|Picture|PointCloud|Packet)\w*|stereo_msgs/.*|\w*image_transport\w*/.*"),
+    (STATE, r"nav_msgs/msg/Odometry"),
+    (STATE, r"geometry_msgs/msg/(Pose|Transform|TwistWith|Accel|Wrench|Vector3|Point|Quaternion)\w*"),
+    (PERCEPTION, r"sensor_msgs/msg/(LaserScan|MultiEchoLaserScan|Range|CameraInfo|RegionOfInterest)"),
+    (PERCEPTION, r"(nav|map|visualization|vision|octomap|geometry|shape|object_recognition)_msgs/.*"),
+    (DIAGNOSTIC, r"(diagnostic_msgs|rcl_interfaces|statistics_msgs|lifecycle_msgs|bond)/.*"),
+    (STATE, r"sensor_msgs/.*"),
+)
+_COMMAND_NAME = re.compile(r"(?:^|[/_])(?:cmd|command|commands|estop|e_stop|emergency|stop)(?:$|[/_])")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,33 +117,14 @@ class TopicGuess:
 
     Parameters
     ----------
-    name : its name under `topics`
+    settings : its item of `topics`
     role : what it seems to be
-    weight, min_rate_hz, max_rate_hz, max_depth, latency_budget_s : as in the configuration; None = the default there
-    payload_bytes, source_rate_hz : what was measured; None = nothing
     remarks : words about what was measured, and what to judge
     """
 
-    name: str
+    settings: TopicSettings
     role: Role
-    weight: float
-    min_rate_hz: float
-    max_rate_hz: float | None = None
-    max_depth: int | None = None
-    latency_budget_s: float | None = None
-    payload_bytes: float | None = None
-    source_rate_hz: float | None = None
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def floor_bytes_per_second(self) -> float:
-        """Wire bytes of its floor; 0 where the size is unknown (bytes/s)."""
-        return _wire(self.payload_bytes, self.min_rate_hz)
-
-    @property
-    def full_bytes_per_second(self) -> float:
-        """Wire bytes at the rate that was measured; 0 where nothing was (bytes/s)."""
-        return _wire(self.payload_bytes, self.source_rate_hz or 0.0)
+    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -75,89 +139,82 @@ class FirstGuess:
     """
 
     topics: tuple[TopicGuess, ...]
-    groups: tuple[TopicGroup, ...] = ()
-    left_out: tuple[str, ...] = ()
-
-    @property
-    def floors_bytes_per_second(self) -> float:
-        """Wire bytes that all floors together need; topics of unknown size do not count (bytes/s)."""
-        return sum(topic.floor_bytes_per_second for topic in self.topics)
-
-    @property
-    def full_bytes_per_second(self) -> float:
-        """Wire bytes of all topics at their measured rates, each read once (bytes/s)."""
-        return sum(topic.full_bytes_per_second for topic in self.topics)
+    groups: tuple[TopicGroup, ...]
+    left_out: tuple[str, ...]
 
 
 def first_guess(topics: Iterable[LinkTopic]) -> FirstGuess:
     """Return preferences for topics: pure; topics of ROS, of arpd and hidden ones get none."""
     found = [topic for topic in topics if not is_internal(topic.name) and not is_hidden(topic.name)]
-    named = [topic for topic in found if len(topic.name) <= LONGEST_NAME]
-    groups = _groups(named)
-    group_of = {member: group for group in groups for member in group.topics}
-    by_name = {topic.name: topic for topic in named}
-    guesses = [
-        _of_group([by_name[member] for member in group_of[topic.name].topics])
-        if topic.name in group_of
-        else _of_topic(topic)
-        for topic in named
-        if topic.name not in group_of or group_of[topic.name].name == topic.name
-    ]
+    named = {topic.name: topic for topic in found if len(topic.name) <= LONGEST_NAME}
+    groups = tuple(_groups([*named.values()]))
+    others = {group.name: named[group.topics[1]] for group in groups}
+    grouped = {other.name for other in others.values()}
+    guesses = [_of_topic(topic, others.get(name)) for name, topic in named.items() if name not in grouped]
     return FirstGuess(
-        topics=tuple(sorted(guesses, key=lambda guess: (-guess.weight, guess.name))),
+        topics=tuple(sorted(guesses, key=lambda guess: (-guess.settings.weight, guess.settings.name))),
         groups=groups,
         left_out=tuple(topic.name for topic in found if len(topic.name) > LONGEST_NAME),
     )
 
 
-def _of_topic(topic: LinkTopic) -> TopicGuess:
-    """Return the preferences of one topic."""
-    role = role_of(topic)
-    care, traffic = role.care, topic.traffic
-    rate_hz = float(f"{traffic.rate_hz:.3g}") if traffic else 0.0
+def wire_bytes_per_second(payload_bytes: float | None, rate_hz: float | None) -> float:
+    """Return what such samples take of the link; 0 where size or rate is unknown (bytes/s)."""
+    return wire_size(payload_bytes, rate_hz=rate_hz)[0] * rate_hz if payload_bytes is not None and rate_hz else 0.0
+
+
+def _of_topic(topic: LinkTopic, info: LinkTopic | None) -> TopicGuess:
+    """Return the preferences of one topic, or of a picture and its camera_info, which cross in one sample."""
+    role, traffic = _role_of(topic), topic.traffic
+    rate_hz = float(f"{_rate(topic):.3g}")
     payload = traffic.mean_bytes if traffic else None
-    floor_hz = min(max(care.share * rate_hz, care.least_hz), care.most_hz, rate_hz or math.inf)
-    if role is Role.LATCHED:  # which may be silent for long, and then send several at once
-        floor_hz = care.least_hz if payload is None else care.most_hz
+    floor_hz = min(max(role.share * rate_hz, role.least_hz), role.most_hz, rate_hz or math.inf)
+    if role is LATCHED:  # which may be silent for long, and then send several at once
+        floor_hz = role.least_hz if payload is None else role.most_hz
     elif _is_flood(topic):
         floor_hz = 0.0
     if payload is not None:
-        floor_hz = min(floor_hz, care.most_bytes_per_second / wire_size(payload, rate_hz=1.0)[0])
-    return TopicGuess(
+        floor_hz = min(floor_hz, role.most_kbit * 125 / wire_size(payload, rate_hz=1.0)[0])
+    settings = TopicSettings(
         name=topic.name,
-        role=role,
-        weight=care.weight,
+        weight=role.weight,
         min_rate_hz=_down(floor_hz),
-        max_rate_hz=float(f"{_MARGIN * rate_hz:.2g}") if care.is_periodic and rate_hz > 0 else None,
-        max_depth=_LARGE_DEPTH if payload is not None and payload > _LARGE_BYTES and role is not Role.LATCHED else None,
-        latency_budget_s=care.latency_budget_s,
+        latency_budget_s=role.latency_budget_s,
         payload_bytes=None if payload is None else _whole(payload),
         source_rate_hz=rate_hz if rate_hz >= 0.001 else None,
-        remarks=tuple(_remarks(topic)),
     )
+    if payload is not None and payload > _LARGE_BYTES and role is not LATCHED:
+        settings = replace(settings, max_depth=_LARGE_DEPTH)
+    remarks = tuple(_remarks(topic))
+    if info is not None:
+        sizes = (each.traffic.mean_bytes for each in (topic, info) if each.traffic)
+        settings = replace(settings, payload_bytes=_whole(sum(filter(None, sizes))))
+        remarks = (*remarks, f"crosses together with {info.name}")
+    return TopicGuess(settings=settings, role=role, remarks=remarks)
 
 
-def _of_group(members: Sequence[LinkTopic]) -> TopicGuess:
-    """Return the preferences of a picture and its camera_info, which cross in one sample."""
-    guess = _of_topic(members[0])
-    sizes = [member.traffic.mean_bytes for member in members if member.traffic and member.traffic.mean_bytes]
-    others = ", ".join(member.name for member in members[1:])
-    return replace(guess, payload_bytes=_whole(sum(sizes)), remarks=(*guess.remarks, f"crosses together with {others}"))
+def _role_of(topic: LinkTopic) -> Role:
+    """Return the likely role of a topic, by its durability, its type, its direction and what it sends."""
+    role = next((role for role, types in _BY_TYPE if re.fullmatch(types, topic.type_name)), OTHER)
+    # A map that comes once a second is latched, too; a stream of pictures is one, whatever its durability.
+    if topic.is_latched and not (role in {VIDEO, PICTURE} and _rate(topic) > 0):
+        return LATCHED
+    if role is OTHER and topic.traffic is not None and topic.traffic.bytes_per_second > _FELT_BYTES_PER_SECOND:
+        return PICTURE
+    # Nodes here read it and none publishes it, or its name says that it is a command.
+    is_command = (not topic.is_from_robot and bool(topic.readers)) or _COMMAND_NAME.search(topic.name)
+    return COMMAND if role in {STATE, OTHER} and is_command else role
 
 
-def _groups(topics: Sequence[LinkTopic]) -> tuple[TopicGroup, ...]:
-    """Pair each camera_info with a picture of its namespace, from the same nodes and at the same rate.
-
-    Of several pictures it is the one that suits Wi-Fi best: compressed rather than raw.
-    """
-    groups: list[TopicGroup] = []
+def _groups(topics: Sequence[LinkTopic]) -> Iterator[TopicGroup]:
+    """Pair each camera_info with a picture of its namespace, from the same nodes and at the same rate."""
     taken: set[str] = set()
     for info in topics:
         namespace = info.name.removesuffix(_INFO)
         if info.type_name != _INFO_TYPE or namespace == info.name or not _rate(info):
             continue
         pictures = [
-            topic
+            (_PICTURE_TYPES.index(topic.type_name), topic.name.count("/"), topic.name)
             for topic in topics
             if topic.name.startswith(f"{namespace}/")
             and topic.name not in taken
@@ -166,17 +223,12 @@ def _groups(topics: Sequence[LinkTopic]) -> tuple[TopicGroup, ...]:
             and abs(_rate(topic) - _rate(info)) <= _SAME_RATE * _rate(info)
         ]
         if pictures:
-            best = min(pictures, key=_unfitness)
-            taken.add(best.name)
-            groups.append(TopicGroup(name=best.name, topics=(best.name, info.name)))
-    return tuple(groups)
+            *_, best = min(pictures)
+            taken.add(best)
+            yield TopicGroup(name=best, topics=(best, info.name))
 
 
-def _unfitness(picture: LinkTopic) -> tuple[int, int, str]:
-    return -_PICTURE_TYPES.index(picture.type_name), picture.name.count("/"), picture.name
-
-
-def _remarks(topic: LinkTopic) -> Iterable[str]:
+def _remarks(topic: LinkTopic) -> Iterator[str]:
     traffic = topic.traffic
     if traffic is None:
         yield f"not measured: {topic.unmeasured}"
@@ -199,12 +251,6 @@ def _is_flood(topic: LinkTopic) -> bool:
 
 def _rate(topic: LinkTopic) -> float:
     return topic.traffic.rate_hz if topic.traffic else 0.0
-
-
-def _wire(payload_bytes: float | None, rate_hz: float) -> float:
-    if payload_bytes is None or rate_hz <= 0:
-        return 0.0
-    return wire_size(payload_bytes, rate_hz=rate_hz)[0] * rate_hz
 
 
 def _down(rate_hz: float) -> float:

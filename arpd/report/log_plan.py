@@ -1,12 +1,11 @@
-"""Events of plans: why arpd made a new one, what it changes, and when everybody runs it."""
+"""Events of plans: why arpd made a new one, and what it changes."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.model.quantities import format_duration, format_period, format_rate
-from arpd.report.conditions import Happening, Severity
-from arpd.report.events import Event
+from arpd.model.quantities import format_period, format_rate
+from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.wording import Change, changes, count, joined, listed
 
 if TYPE_CHECKING:
@@ -20,43 +19,21 @@ _GONE = 0.02  # of the capacity: cross traffic that is not worth naming
 
 
 class PlanLog:
-    """New plans, and when every publisher runs them; a plan that another one overtakes never gets there."""
+    """New plans; one that asks for the same as the one before is none, though its level may differ."""
 
     def __init__(self) -> None:
         self._plan: QosPlan | None = None
         self._link: LinkEstimate | None = None  # when the plan was made
-        self._made_s = 0.0
-        self._is_awaited = False
 
     def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
         plan, before = snapshot.decision.plan, self._plan
-        if plan is not before:
-            self._plan = plan
-            if plan.generation > 0 and not _is_same(plan, before):
-                yield _new_plan(snapshot, before, self._link)
-                self._made_s, self._link, self._is_awaited = snapshot.finished_at_s, snapshot.link, True
-            elif plan.generation == 0:
-                self._link, self._is_awaited = None, False
-        if self._is_awaited and _is_in_force(snapshot):
-            self._is_awaited = False
-            took_s = snapshot.finished_at_s - self._made_s
-            yield Event(
-                Happening.CONFIRMED,
-                Severity.INFO,
-                f"every publisher runs plan {plan.generation}"
-                + (f", {format_duration(took_s)} after it was made" if took_s > 0 else " already"),
-                details={"generation": str(plan.generation), "seconds": f"{took_s:.3f}"},
-            )
-
-
-def _is_same(plan: QosPlan, before: QosPlan | None) -> bool:
-    """Return whether two plans ask for the same; the level may differ."""
-    return before is not None and (plan.generation, plan.topics) == (before.generation, before.topics)
-
-
-def _is_in_force(snapshot: Snapshot) -> bool:
-    return 0 < snapshot.managed <= snapshot.confirmed
+        self._plan = plan
+        if plan.generation == 0:
+            self._link = None
+        elif before is None or (plan.generation, plan.topics) != (before.generation, before.topics):
+            yield _new_plan(snapshot, before, self._link)
+            self._link = snapshot.link
 
 
 def _new_plan(snapshot: Snapshot, before: QosPlan | None, link_then: LinkEstimate | None) -> Event:

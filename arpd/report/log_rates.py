@@ -8,8 +8,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from arpd.model.link import LinkState
-from arpd.report.conditions import Condition, Happening
-from arpd.report.events import Event
+from arpd.report.conditions import Condition, Event, Happening
 from arpd.report.situation import slowed_topics
 from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import Change, changes, count

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from arpd.model.allocation import Allocation, Decision
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
-    from arpd.report.conditions import Finding
-    from arpd.report.events import Event
+    from arpd.report.conditions import Event, Finding
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

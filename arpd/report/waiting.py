@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.model.link import CapacityKind
-from arpd.model.quantities import format_rate
 from arpd.model.settings import AUTO
 from arpd.report.conditions import Condition
 from arpd.report.wording import count, listed
@@ -63,7 +62,7 @@ def peer(snapshot: Snapshot) -> str:
     observation = snapshot.observation
     if is_reported(snapshot):
         return ""
-    without = _without_peer(snapshot)
+    without = _WITHOUT_PEER[snapshot.link.kind]  # without its number, which would change systemd's line too often
     if observation.peer_ages_s:
         return f"{listed([*observation.peer_ages_s])} reports no more, so {without}"
     if observation.peers:
@@ -74,23 +73,12 @@ def peer(snapshot: Snapshot) -> str:
     return f"{without}; {start}{guess}"
 
 
-def _without_peer(snapshot: Snapshot) -> str:
-    """Say where the capacity comes from; without its number, which would change systemd's line too often."""
-    pinned, assumed = (
-        snapshot.settings.link.capacity_bytes_per_second,
-        snapshot.settings.link.initial_capacity_bytes_per_second,
-    )
-    match snapshot.link.kind:
-        case CapacityKind.CONFIGURED if pinned is not None:
-            return f"nothing checks the {format_rate(pinned)} of link.capacity"
-        case CapacityKind.CONFIGURED:
-            return f"{format_rate(assumed)} is only assumed (link.initial_capacity)"
-        case CapacityKind.RADIO:
-            return "the capacity is a guess from the radio's bit rate"
-        case CapacityKind.LOCAL:
-            return "the capacity is known from this computer's own queue alone"
-        case CapacityKind.PEER:
-            return "the capacity is what a peer saw last"
+_WITHOUT_PEER = {
+    CapacityKind.CONFIGURED: "nothing checks what link.capacity or link.initial_capacity says",
+    CapacityKind.RADIO: "the capacity is a guess from the radio's bit rate",
+    CapacityKind.LOCAL: "the capacity is known from this computer's own queue alone",
+    CapacityKind.PEER: "the capacity is what a peer saw last",
+}
 
 
 def _of_two_ends(relay: RelaySummary | None) -> str:

@@ -82,5 +82,5 @@ class Diagnostics:
             name=status.name,
             message=one_line(status.message),
             hardware_id=self._host,
-            values=[KeyValue(key=one_line(key), value=one_line(text)) for key, text in status.values],
+            values=[KeyValue(key=one_line(key), value=one_line(text)) for key, text in status.values.items()],
         )

@@ -16,8 +16,7 @@ from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset
 from arpd.model.relay import RelaySummary
-from arpd.report.conditions import Condition, Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import Condition, Event, Happening, Severity
 from arpd.report.history import LINK_SERIES, MOST_TOPICS, NO_RATES, PERIOD_S, RATE_SERIES, SPAN_S
 from arpd.report.situation import judge
 from arpd.report.snapshot import Totals

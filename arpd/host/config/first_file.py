@@ -12,12 +12,12 @@ from arpd.host.config.keys import keys_of
 from arpd.model.kinds import NONE
 from arpd.model.quantities import format_rate, printable
 from arpd.model.settings import TopicSettings
-from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND
+from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND, wire_bytes_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from arpd.report.first_guess import FirstGuess, TopicGuess
+    from arpd.report.first_guess import FirstGuess
 
 _WIDTH = 110
 _LONGEST = 400
@@ -62,7 +62,7 @@ def first_file(guess: FirstGuess, link: LinkChoice, *, origin: str) -> str:
     lines.append("topics:")
     for topic in guess.topics:
         words = "; ".join((topic.role.reason, *topic.remarks))
-        lines += _indented([*_comment(words), *_yaml([_entry(topic)])])
+        lines += _indented([*_comment(words), *_yaml([_entry(topic.settings)])])
     return "\n".join([*lines, ""])
 
 
@@ -75,7 +75,7 @@ _HOW_TO = (
     "#",
     "# weight          who gets how much of a slow link: weight 2 gets twice as much link time as weight 1",
     "# min_rate_hz     the rate that a topic keeps as long as the link carries the minimum rates of all",
-    "# max_rate_hz     a higher rate is useless; lower it if fewer samples will do. Without it: all that is published",
+    "# max_rate_hz     add it where fewer samples will do. Without it: all that is published",
     "# max_depth       most samples that the publisher keeps for a slow link",
     "# latency_budget  samples older than this are not worth keeping (default 1s)",
     "# payload, source_rate_hz   measured; only `arpd solve` and `arpd simulate` read them",
@@ -83,15 +83,18 @@ _HOW_TO = (
 
 
 def _sums(guess: FirstGuess) -> str:
-    floors, full = format_rate(guess.floors_bytes_per_second), format_rate(guess.full_bytes_per_second)
+    topics = [topic.settings for topic in guess.topics]
+    floors = sum(wire_bytes_per_second(topic.payload_bytes, topic.min_rate_hz) for topic in topics)
+    full = sum(wire_bytes_per_second(topic.payload_bytes, topic.source_rate_hz) for topic in topics)
     weak = format_rate(WEAK_LINK_BYTES_PER_SECOND)
-    is_much = guess.floors_bytes_per_second > WEAK_LINK_BYTES_PER_SECOND
+    is_much = floors > WEAK_LINK_BYTES_PER_SECOND
     much = f" That is more than weak Wi-Fi carries ({weak}): lower some." if is_much else ""
-    unknown = sum(topic.payload_bytes is None for topic in guess.topics)
+    unknown = sum(topic.payload_bytes is None for topic in topics)
     besides = f" Topics of unknown size, which do not count: {unknown}." if unknown else ""
     return (
-        f"All minimum rates together need {floors} of the link, with headers.{much} On a slower link the lightest "
-        f"weights fall below theirs first. At the measured rates everything needs {full}.{besides}"
+        f"All minimum rates together need {format_rate(floors)} of the link, with headers.{much} On a slower link "
+        "the lightest weights fall below theirs first. At the measured rates everything needs "
+        f"{format_rate(full)}.{besides}"
     )
 
 
@@ -127,14 +130,16 @@ def _of_robot(link: LinkChoice) -> str:
     return "address or name of this robot on the link"
 
 
-def _entry(topic: TopicGuess) -> Mapping[str, Any]:
-    """Return one item of `topics`."""
-    entry: dict[str, Any] = {"name": topic.name}
+def _entry(settings: TopicSettings) -> Mapping[str, Any]:
+    """Return one item of `topics`, without keys that say what holds anyway."""
+    entry: dict[str, Any] = {}
+    default = TopicSettings(name=settings.name)
     for name, key in keys_of(TopicSettings).items():
-        if (value := getattr(topic, key.attribute, None)) is not None:
+        value = getattr(settings, key.attribute)
+        if value != getattr(default, key.attribute) or name in {"name", "weight"}:
             written = key.kind.write(value)
             entry[name] = int(written) if isinstance(written, float) and written.is_integer() else written
-    return entry
+    return {"name": entry.pop("name"), **entry}
 
 
 def _yaml(value: Any) -> list[str]:

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from arpd.model.settings import HttpSettings
-from arpd.report.conditions import Condition, Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import Condition, Event, Happening, Severity
 from arpd.report.history import History
 from arpd.web.server import HttpServer
 from tests.all.seeing.browser import PHONE, chromium, visit
@@ -68,7 +67,7 @@ def daemon(sample_snapshot):
         for n, kind, severity, text in (
             (1, Happening.PLAN, Severity.WARNING, "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz"),
             (2, Condition.OUTAGE, Severity.ERROR, "the link carries nothing"),
-            (3, Condition.OUTAGE, Severity.INFO, "the link carries again"),
+            (3, Condition.OUTAGE, Severity.INFO, "ended after 9 s: the link carries nothing"),
         )
     )
     running = Daemon(replace(sample_snapshot, events=events))
@@ -93,7 +92,7 @@ def test_the_document_stands_in_its_places(daemon, browser):
         assert image.startswith("/camera/image /camera, sensing 30.0 12.5 11.5 link 50.0 % of the link 10 / 10")
         assert "did not match the new writer in 5 s" in command
         told = (
-            "the link carries again",
+            "ended after 9 s: the link carries nothing",
             "Error: the link carries nothing",
             "Warning: link fell to 4.8 Mbit/s: /camera",
         )

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from arpd.host.journal import JournalHandler, configure_logging, log_event
-from arpd.report.conditions import MESSAGE_IDS, Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import MESSAGE_IDS, Event, Happening, Severity
 
 CATALOG = Path(__file__).parents[3] / "systemd/arpd.catalog"
 LOST = "lost {} messages, because the journal did not take them"

@@ -13,8 +13,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from arpd.model.allocation import AllocationStatus, Uniform
-from arpd.report.conditions import Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.history import History as Past
 from arpd.web.api import History, Status, history_json
 from arpd.web.json_text import read, schema_of

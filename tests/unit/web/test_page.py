@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from arpd.report.conditions import Happening, Severity
-from arpd.report.events import Event
+from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.history import History
 from tests.golden.sample import changed, status_of
 from tests.unit.web_world import running
