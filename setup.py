@@ -27,7 +27,7 @@ class RosDistribution(Distribution):
     def parse_config_files(self, *arguments: object, **options: object) -> None:
         """Change what pyproject.toml says, which setuptools allows nowhere else."""
         super().parse_config_files(*arguments, **options)
-        self.entry_points["console_scripts"] += [f"{name} = arpd.cli.executables:main" for name in COMMANDS]
+        self.entry_points["console_scripts"] += [f"{name} = arpd.cli.main:run_executable" for name in COMMANDS]
         # colcon evaluates the printed attributes as literals, and this one is an object.
         self.python_requires = self.metadata.python_requires = None
 

@@ -53,7 +53,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    interfaces = None if options.far or options.no_interfaces else _list_interfaces
+    interfaces = None if options.far or options.no_interfaces else list_interfaces
     try:
         settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
         if not options.far:
@@ -73,12 +73,6 @@ def _check(options: argparse.Namespace) -> int:
         print(warning, file=sys.stderr)
     print("\n".join(_summary(settings, is_far=options.far)))
     return 0
-
-
-def _list_interfaces() -> list[str] | None:
-    if (names := list_interfaces()) is None:
-        print("arpd: the kernel does not list this host's interfaces; link.interface is not checked", file=sys.stderr)
-    return names
 
 
 def _warnings(settings: Settings, host_bytes: int) -> Iterator[str]:

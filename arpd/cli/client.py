@@ -7,7 +7,6 @@ import logging
 import os
 import ssl
 from typing import TYPE_CHECKING, Any, Self
-from urllib.parse import urlsplit
 
 from pydantic import ValidationError
 from pydantic_core import from_json
@@ -15,7 +14,7 @@ from tornado.httpclient import HTTPClient, HTTPClientError
 from tornado.iostream import UnsatisfiableReadError
 from tornado.simple_httpclient import HTTPTimeoutError, SimpleAsyncHTTPClient
 
-from arpd.cli.options import DEFAULT_URL, IN_CLEAR, PASSWORD, host_of, no_address
+from arpd.cli.options import IN_CLEAR, PASSWORD
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
 from arpd.web.api import History, Status
@@ -24,6 +23,8 @@ from arpd.web.json_text import read
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
+
+    from arpd.cli.options import Address
 
 _DEADLINE_S = 3.0  # of a whole answer
 _MOST_BYTES = 16 * 2**20
@@ -36,26 +37,20 @@ class Daemon:
 
     Parameters
     ----------
-    url : base URL, like http://127.0.0.1:9464
+    address : where it answers
     cacert : CA that verifies the daemon's certificate, None = the system's
     user, password : basic authentication; without a user there is none
 
     Raises
     ------
     UsageError
-        If the URL is not an HTTP address, or the CA cannot be used.
+        If the CA cannot be used.
     """
 
-    def __init__(self, url: str, *, cacert: Path | None = None, user: str = "", password: str = "") -> None:
-        self.url, self._user = url, user
-        scheme = url.lower().partition("://")[0]
-        if scheme not in {"http", "https"} or not host_of(url):
-            raise UsageError(f"--url {url!r} is not an HTTP address; write it like {DEFAULT_URL}")
-        parts = urlsplit(url)
-        # Without a user and a password that the URL may have.
-        self._base = f"{scheme}://{parts.netloc.rpartition('@')[2]}{parts.path.rstrip('/')}"
+    def __init__(self, address: Address, *, cacert: Path | None = None, user: str = "", password: str = "") -> None:
+        self.url, self._base, self._user = address.url, address.base, user
         self._options = {
-            "ssl_options": _tls(cacert) if scheme == "https" else None,
+            "ssl_options": _tls(cacert) if address.base.startswith("https:") else None,
             "auth_username": user or None,
             "auth_password": password,
             "follow_redirects": False,
@@ -115,7 +110,7 @@ class Daemon:
         ) as error:  # before ValueError: a certificate that is not trusted is both
             raise _no_answer(url, error) from None
         except ValueError as error:
-            raise no_address(url, error) from None
+            raise UsageError(f"--url {url!r} leads nowhere ({error})") from None
         refuses = f"refuses the password of {self._user}" if self._user else "asks for a user; give --user NAME"
         leads = f"{url} leads to {printable(answer.headers.get('Location', ''), longest=200)}"
         refusals = {
@@ -132,7 +127,7 @@ class Daemon:
             return None
 
 
-def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:
+def connect(options: argparse.Namespace, address: Address | None = None) -> Daemon:
     """Return the daemon that the options name, or the one at another address.
 
     Raises
@@ -140,28 +135,27 @@ def connect(options: argparse.Namespace, *, url: str = "") -> Daemon:
     UsageError
         If there is a user without a password, or one whose password would cross the network in clear.
     """
-    url = url or options.url
+    address = address or options.url
     if options.user and PASSWORD not in os.environ:
         raise UsageError(
             f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"
         )
-    if options.user and not options.password_in_clear and (host := _plain_host(url)):
+    if options.user and not options.password_in_clear and not _is_private(address):
         raise UsageError(
-            f"--user over http:// sends the password to {printable(host)} in clear; "
+            f"--user over http:// sends the password to {printable(address.host)} in clear; "
             f"write https:// in --url, or give {IN_CLEAR}"
         )
-    return Daemon(url, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, ""))
+    return Daemon(address, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, ""))
 
 
-def _plain_host(url: str) -> str:
-    """Return the other computer to which a URL leads without TLS, empty for this one."""
-    host = host_of(url)
-    if url.lower().startswith("https:") or host == "localhost":
-        return ""
+def _is_private(address: Address) -> bool:
+    """Return whether nobody else hears what goes there; a name server may say anything of a name."""
+    if address.base.startswith("https:") or address.host == "localhost":
+        return True
     try:
-        return "" if ipaddress.ip_address(host).is_loopback else host
+        return ipaddress.ip_address(address.host).is_loopback
     except ValueError:
-        return host
+        return False
 
 
 def read_status(document: dict[str, Any], *, source: str) -> Status | None:

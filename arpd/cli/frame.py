@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
     from arpd.model.relay import RelaySummary
+    from arpd.report.conditions import Event
     from arpd.report.topic_rows import Topic
     from arpd.web.api import History, Status
 
@@ -44,8 +45,7 @@ if TYPE_CHECKING:
 
 _LABEL, _FIGURES, _LEGEND = 9, 44, 14
 _LEAST_SPARKLINE, _MOST_SPARKLINE = 8, 60
-_LEAST_EVENTS, _PRINTED_EVENTS = 3, 5
-_ROOMY = 12  # lines below the facts of a screen with empty lines between its parts
+_EVENTS = 5
 _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
@@ -65,8 +65,7 @@ def findings(status: Status | None) -> list[Finding]:
 class Frame:
     """A daemon's documents, for rich to print.
 
-    Printed, it shows every topic. On a screen, which does not scroll, it counts topics that do not fit, and fills what
-    is left with events.
+    The topics come last, those that give up most first, so that a screen, which does not scroll, cuts off the others.
 
     Parameters
     ----------
@@ -74,7 +73,6 @@ class Frame:
     history : its last ten minutes, None where there are none
     url : address of the daemon
     silent_s, why_silent : time since its last answer (s), and why the last try failed; empty while it answers
-    is_on_screen : True for a screen, False for what is printed
     """
 
     status: Status | None
@@ -82,13 +80,22 @@ class Frame:
     url: str = ""
     silent_s: float = 0.0
     why_silent: str = ""
-    is_on_screen: bool = False
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Segment]:
         """Yield the frame, no line wider than the console."""
-        head = list(self._head(options.max_width))
-        body = self._body(self.status, options.max_width, options.max_height - len(head)) if self.status else []
-        frame = Group(*head, Styled(Group(*body), "dim" if self.why_silent else ""))
+        width, status = options.max_width, self.status
+        body: list[RenderableType] = []
+        if status is not None:
+            topics = sorted(status.topics, key=_rank)
+            body += [
+                "",
+                *self._courses(status, width),
+                *_facts(status, width),
+                "",
+                *_log(status.events[-_EVENTS:], status),
+            ]
+            body += ["", _topic_table(topics, width)] if topics else []
+        frame = Group(*self._head(width), Styled(Group(*body), "dim" if self.why_silent else ""))
         yield from console.render(frame, options.update(height=None, no_wrap=True, overflow="ellipsis"))
 
     def _head(self, width: int) -> Iterator[Text]:
@@ -109,28 +116,6 @@ class Frame:
             said.insert(0, (lost, "bold red"))
         for words, style in said:
             yield from (Text(line, style=style) for line in wrapped(words, width, indent=2, most=4))
-
-    def _body(self, status: Status, width: int, height: int) -> list[RenderableType]:
-        """Return what stands below the findings; a screen has so many lines for it."""
-        topics, log = sorted(status.topics, key=_rank), list(_log(status))
-        above = [*self._courses(status, width), *_facts(status, width, most=1 if self.is_on_screen else 2)]
-        table: list[RenderableType] = []
-        events, shown, gap = _PRINTED_EVENTS, topics, [""]
-        if self.is_on_screen:
-            room = height - len(above)
-            gap = gap if room >= _ROOMY else []
-            room -= 3 * len(gap)
-            events = max(0, min(max(_LEAST_EVENTS, room - len(topics) - 1), room - bool(topics), len(log)))
-            room -= events
-            shown = topics if len(topics) < room else topics[: max(0, room - 2)]
-        if shown:
-            table.append(_topic_table(shown, width))
-        if rest := topics[len(shown) :]:
-            slowed = sum(map(_is_slowed, rest))
-            note = f"… and {len(rest)} more topics" + (f", {slowed} of them slowed" if slowed else "")
-            table.append(Text(note, style="dim"))
-        sections = (above, table, log[max(0, len(log) - events) :])
-        return [part for section in sections if section for part in (*gap, *section)]
 
     def _courses(self, status: Status, width: int) -> Iterator[Text]:
         """Yield the values that the history has a course of, now and over the last ten minutes."""
@@ -156,9 +141,9 @@ class Frame:
             yield line
 
 
-def _facts(status: Status, width: int, *, most: int) -> list[Text]:
-    """Return everything but courses, topics and log, each fact in ``most`` lines."""
-    plan = status.plan
+def _facts(status: Status, width: int) -> list[Text]:
+    """Return everything but courses, log and topics, each fact in two lines at most."""
+    plan, slowed = status.plan, sum(map(_is_slowed, status.topics))
     confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
     facts = [
         ("traffic", _traffic(status)),
@@ -168,6 +153,7 @@ def _facts(status: Status, width: int, *, most: int) -> list[Text]:
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
         ("lease", lease(status.lease_s) if status.lease_s else ""),
+        ("topics", f"{len(status.topics)}" + (f", {slowed} of them slowed" if slowed else "")),
         ("rmw", status.rmw_refusal),
         *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
     ]
@@ -175,7 +161,7 @@ def _facts(status: Status, width: int, *, most: int) -> list[Text]:
         _labelled(line)
         for label, fact in facts
         if fact
-        for line in wrapped(f"{label:{_LABEL}}{fact}", width, indent=_LABEL, most=most)
+        for line in wrapped(f"{label:{_LABEL}}{fact}", width, indent=_LABEL)
     ]
 
 
@@ -212,8 +198,8 @@ def _relay(relay: RelaySummary) -> str:
     return "; ".join([crosses, *(f"{many} {what}" for many, what in others if many)])
 
 
-def _log(status: Status) -> Iterator[Text]:
-    for event in status.events:
+def _log(events: Sequence[Event], status: Status) -> Iterator[Text]:
+    for event in events:
         at_s = event.unix_time_s
         is_recent = abs(status.unix_time_s - at_s) < _DAY_S
         when = wall_clock(at_s, "%H:%M:%S" if is_recent else "%b %d %H:%M")

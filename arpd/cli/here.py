@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from arpd.cli.client import connect
-from arpd.cli.options import DEFAULT_URL, host_of, is_here
+from arpd.cli.options import DEFAULT_URL, read_address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
 from arpd.host.interface import index_of, likeliest_interface, list_interfaces
@@ -37,7 +37,7 @@ class Here:
     """
 
     def __init__(self, options: argparse.Namespace) -> None:
-        self._options, self._is_remote = options, not is_here(options.url)
+        self._options, self._is_remote = options, not options.url.is_here
         self.config_path: Path = options.config
         states = service_states(*_UNITS)
         self.units = {name: unit for name, unit in states.items() if unit.is_installed} if states else None
@@ -46,7 +46,7 @@ class Here:
         self.settings, self.faults = self._configuration()
         self.told = self._ask()
         relay = self.settings.relay
-        self.other_end = (host_of(options.url) if self._is_remote else relay.robot) if self.is_far else relay.base
+        self.other_end = (options.url.host if self._is_remote else relay.robot) if self.is_far else relay.base
         self.found_interface: str = options.interface or self._find_interface()
 
     @property
@@ -85,12 +85,13 @@ class Here:
     def _ask(self) -> Status | NotKnownError:
         if self.is_far and not self._is_remote:
             return NotKnownError("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
-        http, url = self.settings.http, self._options.url
-        if url == DEFAULT_URL:
-            url = f"http://{'127.0.0.1' if http.host in _ANY else http.host}:{http.port}"
+        http, address = self.settings.http, self._options.url
+        if address.url == DEFAULT_URL:
+            host = "127.0.0.1" if http.host in _ANY else f"[{http.host}]" if ":" in http.host else http.host
+            address = read_address(f"http://{host}:{http.port}")
         try:
-            with connect(self._options, url=url) as daemon:
-                return daemon.status() or NotKnownError(f"the daemon at {url} has not finished a tick")
+            with connect(self._options, address) as daemon:
+                return daemon.status() or NotKnownError(f"the daemon at {address.url} has not finished a tick")
         except UsageError:
             raise
         except ArpdError as error:

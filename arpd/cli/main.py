@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd import __version__
@@ -13,7 +14,7 @@ from arpd.cli.no_daemon import step_after
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, NoAnswerError, RosUnavailableError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from arpd.cli.options import Command
 
@@ -69,6 +70,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     return code
+
+
+def run_executable() -> int:
+    """Run the command that an executable of ROS 2 is named after: `ros2 run arpd relay` is `arpd relay`."""
+    command, *arguments = sys.argv
+    return main([Path(command).name, *_without_ros_arguments(arguments)])
+
+
+def _without_ros_arguments(arguments: Iterable[str]) -> list[str]:
+    """Return the arguments without those between ``--ros-args`` and ``--`` or the end.
+
+    A launch file's Node gives them to every process, and `ros2 run` to the process of a user who adds some. rclpy reads
+    them from the process itself.
+    """
+    own: list[str] = []
+    is_ours = True
+    for argument in arguments:
+        if argument == "--ros-args":
+            is_ours = False
+        elif is_ours:
+            own.append(argument)
+        else:
+            is_ours = argument == "--"
+    return own
 
 
 def _incomplete(package: str, error: ImportError) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.cli.options import is_here
+from arpd.cli.options import read_address
 from arpd.host import services
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _CAUSES = {
 
 def step_after(error: NoAnswerError) -> str:
     """Return the next step where nobody answers at an address of this computer; empty elsewhere."""
-    if not is_here(error.url):
+    if not read_address(error.url).is_here:
         return ""
     return next_step(services.service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
-from arpd.model.errors import UsageError
 from arpd.model.quantities import printable
 from arpd.model.settings import HttpSettings
 
@@ -32,23 +31,15 @@ class Command(NamedTuple):
 
 
 def add_config(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
-    """Add ``--config``, by default the installed file; None with the installed one beside it where it may be missing.
-
-    Parameters
-    ----------
-    otherwise : what stands for an installed file that is missing
-    """
+    """Add ``--config``, by default the installed file, and what stands for that where it may be missing."""
     about = f"YAML configuration (default {DEFAULT_CONFIG}{otherwise and ', or ' + otherwise})"
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", default=None if otherwise else DEFAULT_CONFIG, help=about
-    )
-    parser.set_defaults(default_config=DEFAULT_CONFIG)
+    parser.add_argument("--config", type=Path, metavar="FILE", default=DEFAULT_CONFIG, help=about)
 
 
 def config_of(options: argparse.Namespace) -> Path | None:
-    """Return the file of ``--config``, otherwise the installed one; None where that is missing."""
-    installed: Path = options.default_config
-    return options.config or (installed if installed.exists() else None)
+    """Return the file of ``--config``, None where the installed one is missing and nobody named another."""
+    config: Path = options.config
+    return None if config == DEFAULT_CONFIG and not config.exists() else config
 
 
 def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None:
@@ -58,7 +49,8 @@ def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None
 
 def add_address(parser: argparse.ArgumentParser) -> None:
     """Add the options that name the daemon."""
-    parser.add_argument("--url", default=DEFAULT_URL, help="base URL of the daemon (default %(default)s)")
+    about = "base URL of the daemon (default %(default)s)"
+    parser.add_argument("--url", type=read_address, default=DEFAULT_URL, metavar="URL", help=about)
     parser.add_argument(
         "--cacert", type=Path, metavar="FILE", help="CA of the daemon's certificate (default: the system's)"
     )
@@ -68,36 +60,32 @@ def add_address(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def host_of(url: str) -> str:
-    """Return the host that a URL names, empty if it names none.
+class Address(NamedTuple):
+    """Address of a daemon: as given, the computer, and the base URL without a user and a password in it."""
 
-    Raises
-    ------
-    UsageError
-        If it is no URL.
-    """
+    url: str
+    host: str
+    base: str
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it names this computer."""
+        from arpd.host.kernel import is_own_address
+
+        return self.host in {"localhost", "::1"} or is_own_address(self.host)
+
+
+def read_address(url: str) -> Address:
+    """Return the address that a URL names, for argparse."""
     try:
-        return urlsplit(url).hostname or ""
+        parts = urlsplit(url)
+        if parts.scheme in {"http", "https"} and parts.hostname and parts.port != 0:
+            base = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path.rstrip('/')}"
+            return Address(url, parts.hostname, base)
+        why = "it needs http:// or https://, and a host"
     except ValueError as error:
-        raise no_address(url, error) from None
-
-
-def no_address(url: str, error: Exception) -> UsageError:
-    """Return the error that says why a URL is none."""
-    return UsageError(f"--url {url!r} is not an HTTP address ({error}); write it like {DEFAULT_URL}")
-
-
-def is_here(url: str, *, is_own_address: Callable[[str], bool] | None = None) -> bool:
-    """Return whether a URL names this computer.
-
-    Parameters
-    ----------
-    is_own_address : returns whether an IPv4 address, or a host name, is this computer's; by default the kernel tells
-    """
-    from arpd.host import kernel
-
-    host = host_of(url)
-    return host in {"localhost", "::1"} or (bool(host) and (is_own_address or kernel.is_own_address)(host))
+        why = str(error)
+    raise argparse.ArgumentTypeError(f"{printable(url)} is no HTTP address ({why}); write it like {DEFAULT_URL}")
 
 
 def within(

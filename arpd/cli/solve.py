@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic_core import from_json
 from rich.text import Text
 
 from arpd.cli.options import Command, add_json, within
@@ -23,14 +22,14 @@ from arpd.report.wording import count
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import Eq4Problem, whole
 from arpd.solve.program import Program
-from arpd.solve.topics import assumed_traffic, measured_traffic, rows_of_traffic
+from arpd.solve.topics import assumed_traffic, rows_of_traffic
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
 
     from arpd.model.settings import Settings
-    from arpd.web.api import Status
+    from arpd.solve.topics import Traffic
 
     Document = Mapping[str, Any]
 
@@ -45,8 +44,8 @@ share. Exits 1 when the constraints cannot be met.
                                Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
 
 With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or of several.
-Payload and rate of a topic's source come from the file (payload, source_rate_hz), or from what a running daemon
-measured (--status). Needs neither ROS nor a daemon.
+Payload and rate of a topic's source come from the file (payload, source_rate_hz); arpd topics --suggest measures both.
+Needs neither ROS nor a daemon.
 
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
@@ -55,7 +54,6 @@ examples:
 
   arpd solve --config robot.yaml --capacity 5mbit             rate, DEADLINE and DEPTH of every topic
   arpd solve --config robot.yaml --capacity 1mbit,5mbit,20mbit   how they move with the link
-  arpd status --json > robot.json && arpd solve --config new.yaml --status robot.json --capacity 5mbit
 
 what a rate or depth is bound by:
   desired rate     it has what it asked for: max_rate_hz, or all that its source publishes
@@ -66,7 +64,6 @@ what a rate or depth is bound by:
 _PAPER, _OWN = ("rmax", "sensing", "actuation"), ("config", "capacity")
 _SUMMED = ("desired_rate_hz", "rate_hz")
 _BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
-_SAVE = "save it on the robot with arpd status --json > FILE"
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -81,9 +78,6 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     own = parser.add_argument_group("your topics, offline")
     own.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
     own.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
-    own.add_argument(
-        "--status", type=Path, metavar="FILE", help="take what topics publish from a saved `arpd status --json`"
-    )
     parser.add_argument("--backend", choices=list(Backend), help="solver (default osqp, or the configuration's)")
     add_json(parser)
 
@@ -162,8 +156,13 @@ def _solve_topics(options: argparse.Namespace) -> int:
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     if options.backend:
         settings = replace(settings, program=replace(settings.program, backend=Backend(options.backend)))
-    status = _saved_status(options.status) if options.status else None
-    plans = [_plan(capacity, settings, status, options.config) for capacity in capacities]
+    if not (traffic := assumed_traffic(settings)):
+        write = (
+            "write `topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]`, or let arpd topics --suggest measure"
+        )
+        wrong = f"no topic has a payload and a source_rate_hz; {write}"
+        raise config_error(options.config, [Fault(Place(), "topics", wrong)])
+    plans = [_plan(capacity, settings, traffic) for capacity in capacities]
     if options.json:
         print(json.dumps(plans if len(plans) > 1 else plans[0], indent=2))
     else:
@@ -171,47 +170,18 @@ def _solve_topics(options: argparse.Namespace) -> int:
             _show(plan)
     if left_out := plans[0]["left_out"]:
         names = ", ".join(printable(name, longest=250) for name in left_out)
-        why = f"neither {options.config} nor --status says both what they carry and how often"
-        print(f"arpd: left out: {names}; {why} (payload, source_rate_hz)", file=sys.stderr)
+        why = f"{options.config} does not say both their payload and their source_rate_hz"
+        print(f"arpd: left out: {names}; {why}", file=sys.stderr)
     return 0
 
 
-def _saved_status(path: Path) -> Status:
-    """Return what the daemon had measured; the plan of that time does not matter for a new one."""
-    from arpd.cli.client import read_status
-
-    try:
-        document = from_json(path.read_bytes(), allow_inf_nan=False)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--status {printable(str(path), longest=4096)} cannot be read ({error}); {_SAVE}") from None
-    if not isinstance(document, dict) or (status := read_status(document, source=str(path))) is None:
-        raise ArpdError(f"{printable(str(path), longest=4096)} is no status of a daemon that was ready; {_SAVE}")
-    return status
-
-
-def _plan(capacity: float, settings: Settings, status: Status | None, config: Path) -> Document:
+def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Document:
     """Return the daemon's first plan for a link of this capacity, before headroom (bytes/s)."""
-    publishers = [topic.confirmed for topic in status.topics] if status else []
-    # A measurement replaces an assumption.
-    traffic = {each.topic: each for each in (*assumed_traffic(settings), *measured_traffic(publishers))}
-    if not traffic:
-        write = "write `topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]`"
-        measure = (
-            "take both from a robot whose nodes publish: arpd status --json > robot.json, then --status robot.json"
-        )
-        wrong = f"no topic has a payload and a source_rate_hz; {write}, or {measure}"
-        raise config_error(config, [Fault(Place(), "topics", wrong)])
-    sensing, actuation = settings.graph.sensing_topics, settings.graph.actuation_topics
-    if status:
-        sensing = status.sensing_topics if sensing is None else sensing
-        actuation = status.actuation_topics if actuation is None else actuation
-    memory_bytes = settings.program.memory_budget_bytes
-    try:
-        rows = rows_of_traffic(traffic.values(), settings)
-    except ValueError as error:
-        raise ArpdError(f"--status has an impossible number: {error}; {_SAVE}") from None
-    answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=(sensing or 0) + (actuation or 0))
-    qos = make_plan(answer, rows, publishers, previous={}, generation=1, settings=settings).topics
+    loads = {each.topic: each for each in traffic}
+    crossing = (settings.graph.sensing_topics or 0) + (settings.graph.actuation_topics or 0)
+    rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
+    answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=crossing)
+    qos = make_plan(answer, rows, (), previous={}, generation=1, settings=settings).topics
     relayed = {settings.relay.link_prefix + name for name in settings.relay.topic_names}
     named = relayed | {topic.name for topic in settings.topics if not topic.is_pattern}
     return {
@@ -222,13 +192,13 @@ def _plan(capacity: float, settings: Settings, status: Status | None, config: Pa
         "memory_bytes": sum(row.slot_bytes * qos[row.name].depth for row in rows),
         "memory_budget_bytes": memory_bytes,
         "topics": [
-            asdict(traffic[row.name])
+            asdict(loads[row.name])
             | asdict(row)
             | asdict(each)
             | {"depth": qos[row.name].depth, "deadline_ns": qos[row.name].deadline_ns or None}
             for row, each in zip(rows, answer.topics, strict=True)
         ],
-        "left_out": sorted((named | {publisher.topic for publisher in publishers}) - traffic.keys()),
+        "left_out": sorted(named - loads.keys()),
     }
 
 

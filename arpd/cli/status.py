@@ -51,13 +51,13 @@ def _status(options: argparse.Namespace) -> int:
         history = None if options.json else daemon.history()
     if options.json:
         print(json.dumps(document, indent=2))
-    status = read_status(document, source=options.url)
+    status = read_status(document, source=options.url.url)
     wrong = [finding.text for finding in findings(status) if finding.wrong]
     if status is None or options.json:
         for fault in wrong:
             print(f"arpd: {fault}", file=sys.stderr)
     else:
-        show(Frame(status=status, history=history, url=options.url))
+        show(Frame(status=status, history=history, url=options.url.url))
     return 1 if wrong else 0
 
 

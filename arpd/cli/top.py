@@ -30,8 +30,8 @@ _QUIT_KEYS = b"qQ\x03"
 _LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
 _HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
 _TEXT = """\
-Show live what `arpd status` prints once. Topics that do not fit the terminal are counted.
-q or Ctrl-C ends it. It waits for a daemon that goes away.
+Show live what `arpd status` prints once, as far as it fits the terminal. q or Ctrl-C ends it.
+It waits for a daemon that goes away.
 
 examples:
   arpd top
@@ -54,7 +54,7 @@ def _top(options: argparse.Namespace) -> int:
         raise UsageError("arpd top needs a terminal; arpd status prints the same once")
     sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
     with connect(options) as daemon:
-        seen = Frame(status=daemon.status(), history=daemon.history(), url=daemon.url, is_on_screen=True)
+        seen = Frame(status=daemon.status(), history=daemon.history(), url=daemon.url)
         answered_s = history_s = time.monotonic()
         # A terminal, whatever the environment says: this has looked.
         console = Console(highlight=False, force_terminal=True)

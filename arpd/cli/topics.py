@@ -11,12 +11,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from arpd import __version__
-from arpd.cli.options import Command, add_config, within
+from arpd.cli.options import Command, add_config, config_of, within
 from arpd.cli.output import fitted, progress, show
 from arpd.host import interface as host
 from arpd.host.config.first_file import LinkChoice, first_file
 from arpd.host.config.load import load_settings, local_domain
-from arpd.model.errors import ArpdError, ConfigError, UsageError
+from arpd.model.errors import ArpdError, UsageError
 from arpd.model.kinds import ADDRESS
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
@@ -76,13 +76,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     link.add_argument(
         "--base", type=_address, metavar="ADDRESS", help="the computer at the other end (default: it finds the robot)"
     )
-    add_config(parser, otherwise="the defaults where that has faults")
+    add_config(parser, otherwise="the defaults where that does not exist")
 
 
 def _list_topics(options: argparse.Namespace) -> int:
     if (options.robot or options.base) and not options.suggest:
         raise UsageError("--robot and --base go into a configuration; give --suggest, too")
-    settings = _settings(options)
+    config = config_of(options)
+    settings = Settings() if config is None else load_settings(config, interfaces=None)
     listed = _measured(options, settings.relay)
     if not listed.topics:
         raise ArpdError(_nothing_found(listed))
@@ -105,19 +106,6 @@ def _address(word: str) -> str:
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return word
-
-
-def _settings(options: argparse.Namespace) -> Settings:
-    """Return the configuration in force; the defaults where the default file is missing or wrong."""
-    if options.config is not None:
-        return load_settings(options.config, interfaces=None)
-    if not options.default_config.exists():
-        return Settings()
-    try:
-        return load_settings(options.default_config, interfaces=None)
-    except ConfigError:
-        _remark(f"{options.default_config} is not used, because it has faults: see `arpd check`")
-        return Settings()
 
 
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:

@@ -27,6 +27,7 @@ from rich.screen import Screen
 
 from arpd.cli.client import Daemon
 from arpd.cli.frame import Frame
+from arpd.cli.options import read_address
 from arpd.cli.output import progress
 from arpd.model.errors import ArpdError
 from scripts.bench.links import MBIT
@@ -108,9 +109,9 @@ def _page(browser: Browser, url: str, path: Path, *, size: ViewportSize, scale: 
 def _top(browser: Browser, url: str, path: Path) -> None:
     """Draw a frame of `arpd top` as a terminal would."""
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
-    with Daemon(url) as daemon:
+    with Daemon(read_address(url)) as daemon:
         status, history = daemon.status(), daemon.history()
-    frame = Frame(status=status, history=history, url="http://robot.local:9464", is_on_screen=True)
+    frame = Frame(status=status, history=history, url="http://robot.local:9464")
     console.print(Screen(frame))
     # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)

@@ -101,13 +101,8 @@ def as_document(pairs: Sequence[Pair]) -> dict[str, Any]:
                 "topic": pair.without.topic,
                 "is_overloaded": pair.is_overloaded,
                 "is_better": pair.is_better,
-                "without": {**asdict(pair.without), "loss_ratio": pair.without.loss_ratio},
-                "with": {
-                    **asdict(pair.with_arpd),
-                    "loss_ratio": pair.with_arpd.loss_ratio,
-                    "withheld_ratio": pair.with_arpd.withheld_ratio,
-                    "lost": pair.with_arpd.lost,
-                },
+                "without": asdict(pair.without),
+                "with": asdict(pair.with_arpd) | {"lost": pair.with_arpd.lost},
             }
             for pair in pairs
         ],

@@ -150,7 +150,5 @@ def test_the_command_prints_and_exits(run, tmp_path):
             assert ("wrong: clock" in out) is bool(expected)
             code, out, _ = run("doctor", "--url", url, "--config", config, "--json")
             assert (code, json.loads(out)["ok"]) == (expected, not expected)
-    for words in (("--listen", "-1"), ("--listen", "soon"), ("--url", "robot", "--config", config)):
+    for words in (("--listen", "-1"), ("--listen", "soon"), ("--url", "http://[robot:9464")):
         assert run("doctor", *words)[0] == 2
-    code, out, err = run("doctor", "--url", "http://[robot:9464", "--config", config)
-    assert (code, out, err.count("\n")) == (2, "", 1)

@@ -85,17 +85,15 @@ def test_the_link_domain_is_not_that_of_the_nodes(run, robot, monkeypatch):
 
 @pytest.mark.parametrize(
     ("text", "prefix"),
-    [("relay:\n  prefix: /air\n", "/air"), (SMALL, ""), ("", "/link"), (None, "/link")],
-    ids=["one end", "two ends", "empty", "missing"],
+    [("relay:\n  prefix: /air\n", "/air"), (SMALL, ""), (None, "/link")],
+    ids=["one end", "two ends", "missing"],
 )
 def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_path, text, prefix):
-    """The prefix is that of the installed file; an empty or missing one does not stop a first look."""
+    """The prefix is that of the installed file; a missing one does not stop a first look."""
     asked = robot()
     if text is not None:
         (tmp_path / "installed.yaml").write_text(text)
-    code, _, err = run("topics")
-    assert (code, asked["prefix"]) == (0, prefix)
-    assert ("has faults" in err) is (text == "")
+    assert (run("topics")[0], asked["prefix"]) == (0, prefix)
 
 
 @pytest.mark.parametrize(
