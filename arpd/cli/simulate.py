@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, fields
 from itertools import count as counting
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +13,12 @@ from rich.text import Text
 
 from arpd.cli.options import Command, add_config, add_json, config_of, within
 from arpd.cli.output import fitted, progress, show
-from arpd.daemon.compare import WARM_UP_S, compare, events, summarize
-from arpd.daemon.scenario import Moment
+from arpd.daemon.compare import WARM_UP_S, compare, summarize
+from arpd.daemon.scenario import Moment, Scenario
 from arpd.host.config.load import load_settings
 from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
+from arpd.model.link import LinkState
 from arpd.model.quantities import (
     format_duration,
     format_number,
@@ -40,11 +42,13 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Mapping, Sequence
 
-    from arpd.daemon.compare import Comparison, LinkEvent, Summary
+    from arpd.daemon.compare import Summary
+    from arpd.daemon.scenario import ScenarioResult
     from arpd.model.settings import Settings
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
 
+    Comparison = Mapping[str, ScenarioResult]  # by way
     Figures = Mapping[str, Callable[[TopicResult], float | None]]
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
@@ -119,17 +123,9 @@ def _simulate(options: argparse.Namespace) -> int:
     )
     number = counting()
     with progress(f"simulating {format_duration(duration_s)} three ways", total=3) as reach:
-        ways = compare(
-            settings,
-            trace.rates,
-            duration_s,
-            seed=options.seed,
-            model=model,
-            topics=robot,
-            on_way=lambda way: reach(next(number), way),
-        )
+        scenario = Scenario(settings, trace.rates, duration_s, seed=options.seed, model=model, topics=robot)
+        ways = compare(scenario, on_way=lambda way: reach(next(number), way))
     summaries = {way: summarize(result, start_s=WARM_UP_S, end_s=duration_s) for way, result in ways.items()}
-    happened = events(ways["arpd"])
     if options.json:
         asked = {"config": config and str(config), "trace": trace.name, "duration_s": duration_s, "seed": options.seed}
         link = {name: value for name, value in asdict(model).items() if name not in {"losses", "outages"}}
@@ -141,7 +137,6 @@ def _simulate(options: argparse.Namespace) -> int:
                 way: {"summary": summaries[way], "topics": result.topics, "course": _course(result.moments)}
                 for way, result in ways.items()
             },
-            "events": happened,
         }
         print(to_json(plain(document), indent=2, inf_nan_mode="null").decode())
         return 0
@@ -163,7 +158,7 @@ def _simulate(options: argparse.Namespace) -> int:
         "AGE P99": lambda topic: _times(1e3, topic.age_p99_s),
     }
     show("", fitted(_topics(robot, ways, rates)), "", fitted(_topics(robot, ways, delays)), "")
-    _show_events(happened)
+    _show_events(ways["arpd"].moments)
     return 0
 
 
@@ -251,16 +246,19 @@ def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Se
     return rows
 
 
-def _show_events(happened: Sequence[LinkEvent]) -> None:
+def _show_events(moments: Sequence[Moment]) -> None:
+    """Print the plans, and the begin and end of each outage as arpd saw it."""
     rows = [["", "WHAT ARPD DID", "CAPACITY"]]
-    for event in happened[:_MOST_EVENTS]:
-        levels = (event.before_bytes_per_second, event.after_bytes_per_second)
-        change = " -> ".join(format_rate(level) for level in levels if level is not None)
-        rows.append([f"{event.t_s:.1f} s", event.what, change])
-    more = len(happened) - _MOST_EVENTS
-    show(fitted(rows, words=rows[0]) if happened else "arpd made no plan")
-    if more > 0:
-        show(f"and {more} more; --json has all")
+    for before, moment in pairwise(moments):
+        at_s, is_out = f"{moment.t_s:.1f} s", moment.state is LinkState.OUTAGE
+        if is_out != (before.state is LinkState.OUTAGE):
+            rows.append([at_s, "outage" if is_out else "outage over", ""])
+        if moment.cause:
+            levels = (before.level_bytes_per_second, moment.level_bytes_per_second)
+            rows.append([at_s, moment.cause, " -> ".join(format_rate(level) for level in levels if level)])
+    show(fitted(rows[: _MOST_EVENTS + 1], words=rows[0]) if rows[1:] else "arpd made no plan")
+    if (more := len(rows) - 1 - _MOST_EVENTS) > 0:
+        show(f"and {more} more; --json has the whole course")
 
 
 def _times(factor: float, value: float | None) -> float | None:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from arpd.cli.options import Command, add_json, within
 from arpd.cli.output import fitted, show
-from arpd.govern.plan import make_plan
+from arpd.govern.plan import Wanted
 from arpd.host.config.load import load_settings
 from arpd.host.config.yaml_source import Fault, Place, config_error
 from arpd.model.errors import ArpdError, UsageError
@@ -181,7 +181,7 @@ def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Do
     crossing = (settings.graph.sensing_topics or 0) + (settings.graph.actuation_topics or 0)
     rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
     answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=crossing)
-    qos = make_plan(answer, rows, (), previous={}, generation=1, settings=settings).topics
+    qos = Wanted(answer, rows, (), previous={}, settings=settings).rows
     relayed = {settings.relay.link_prefix + name for name in settings.relay.topic_names}
     named = relayed | {topic.name for topic in settings.topics if not topic.is_pattern}
     return {

@@ -116,7 +116,7 @@ class Record:
             ticks_late=self._late,
             solves_by_outcome=MappingProxyType(dict(program.outcomes)),
             plans_by_cause=MappingProxyType(dict(governor.plans_by_cause)),
-            refusals_by_reason=MappingProxyType(dict(governor.refusals_by_reason)),
+            refusals_by_reason=MappingProxyType({"budget": governor.postponed}),
             applies_by_result=MappingProxyType(dict(world.results())),
             probes=probes,
             probe_bytes=probe_bytes,

@@ -55,7 +55,7 @@ class Planned(NamedTuple):
     topics: Sequence[Topic] = ()
     allocation: Allocation = Allocation()
     decision: Decision = Decision()
-    come: Progress = Progress(missing=frozenset(), confirmed=0)
+    come: Progress = Progress()
 
 
 class Daemon:

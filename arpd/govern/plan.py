@@ -1,13 +1,13 @@
-"""Plan for all topics, made from an allocation."""
+"""Rows of a plan, made from an allocation; depth and deadline move in classes, so that noise swaps no writer."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from arpd.govern.classes import CLASSES, EXACT, LONGEST_DEADLINE_NS, Fit, Ladder, Move
-from arpd.model.plan import QosPlan, TopicPlan, keeps_its_readers
+from arpd.model.plan import NANOSECONDS_PER_SECOND, TopicPlan, keeps_its_readers
 from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.eq4 import alike
 
@@ -18,104 +18,178 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
-# The ceiling is above the source's rate, so jitter and a little growth are not throttled. More growth is a change of
-# demand, and causes a new plan.
-_SOURCE_MARGIN = 1.25
-# Rates and sizes as measured; a row that differs by no more is not sent again.
-_NOISE = 0.02
+# DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t).
+_LONGEST_DEADLINE_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
+# 1.5 s and its halves: the periods of usual rates (1, 2, 5, 10, 20, 30 Hz) with the default slack lie well inside the
+# classes, so the noise of a measured rate does not cross a border.
+_SHORTEST_NS = 5_859_375
+# What is in force stays while it is at most so far beyond what the program gives, as a factor or in samples.
+_TOLERANCE, _SAMPLES = 1.1, 1
+# A shorter deadline or a deeper history must still fit when the program gives so much less.
+_ROOM = 1.25
 # A timer of Linux wakes up to some milliseconds late, and a reader's clock runs from arrival to arrival: at 200 Hz a
 # quarter of the period alone missed 95 deadlines in 20 s on an idle link.
 _LEAST_SLACK_NS = 10_000_000
+# The ceiling is above the source's rate, so jitter and a little growth are not throttled. More growth is a change of
+# demand, and causes a new plan.
+_SOURCE_MARGIN = 1.25
+_NOISE = 0.02  # of rates and sizes as measured; a row that differs by no more is not sent again
 
 
-def make_plan(
-    allocation: Allocation,
-    topics: Sequence[Topic],
-    publishers: Sequence[PublisherState],
-    *,
-    previous: Mapping[str, TopicPlan],
-    generation: int,
-    settings: Settings,
-) -> QosPlan:
-    """Plan for all topics; `rows_and_moves` explains the arguments."""
-    rows, _ = rows_and_moves(allocation, topics, publishers, previous=previous, settings=settings)
-    return QosPlan(generation=generation, topics=rows, level_bytes_per_second=allocation.capacity_bytes_per_second)
+class Move(IntEnum):
+    """Direction in which the QoS in force should go."""
+
+    RELAX = -1  # it promises more than the program gives: a deadline too short, or a history too deep
+    NONE = 0
+    TIGHTEN = 1  # it could promise more
 
 
-def rows_and_moves(
-    allocation: Allocation,
-    topics: Sequence[Topic],
-    publishers: Sequence[PublisherState],
-    *,
-    previous: Mapping[str, TopicPlan],
-    settings: Settings,
-) -> tuple[dict[str, TopicPlan], dict[str, Move]]:
-    """Return a row for each topic, and where its QoS goes, only where it does.
+class _Fit:
+    """What the program gives a topic, and the QoS that is no harder to keep: in classes, or exactly.
 
-    Depth and deadline come in classes, and a row whose class still fits keeps its writer. The uniform policy has no
-    classes: its rows have the exact optimum. A silent source keeps its ceiling and its QoS: it costs nothing now, and
-    finds them when it returns.
+    Parameters
+    ----------
+    request_ns : tightest deadline that a reader requests, which bounds the offered one exactly; 0 = none (ns)
+    slack : of the period, so that jitter misses no deadline
+    """
+
+    def __init__(self, row: TopicAllocation, topic: Topic, *, request_ns: int, slack: float, is_exact: bool) -> None:
+        self._topic, self._request_ns, self._is_exact = topic, request_ns, is_exact
+        self._period_ns, self._given = row.deadline_ns, row.depth_applied
+        offered_ns = max(math.ceil(self._period_ns * slack), self._period_ns + _LEAST_SLACK_NS)
+        self._offered_ns = min(offered_ns, _LONGEST_DEADLINE_NS) if self._period_ns else 0
+
+    @property
+    def depth(self) -> int:
+        return self._depth(self._given)
+
+    @property
+    def deadline_ns(self) -> int:
+        return self._deadline_ns(self._offered_ns)
+
+    def move(self, kept: TopicPlan) -> Move:
+        """Return where a row should go that now has other QoS; NONE while it is near enough."""
+        if kept.qos == (self.depth, self.deadline_ns):
+            return Move.NONE
+        keeps_deadline = self._period_ns and max(self._period_ns, self._offered_ns / _TOLERANCE) <= kept.deadline_ns
+        if _is_longer(self.deadline_ns, kept.deadline_ns) and not keeps_deadline:
+            return Move.RELAX
+        if kept.depth > min(self._topic.max_depth, max(_TOLERANCE * self._given, self._given + _SAMPLES)):
+            return Move.RELAX
+        could_be_shorter = _is_longer(kept.deadline_ns, self._deadline_ns(int(_ROOM * self._offered_ns)))
+        # What the configuration asks for needs no room to spare.
+        roomy_depth = max(self._depth(max(1, int(self._given / _ROOM))), min(self._given, self._topic.min_depth))
+        return Move.TIGHTEN if could_be_shorter or kept.depth < roomy_depth else Move.NONE
+
+    def _deadline_ns(self, offered_ns: int) -> int:
+        """Return the shortest class of 5859375·2ᵏ ns that is at least as long, but no more than readers request."""
+        if offered_ns > 0 and not self._is_exact:
+            longer_ns = _SHORTEST_NS << ((offered_ns - 1) // _SHORTEST_NS).bit_length()
+            offered_ns = min(_LONGEST_DEADLINE_NS, longer_ns)
+        return self._request_ns if _is_longer(offered_ns, self._request_ns) else offered_ns
+
+    def _depth(self, depth: int) -> int:
+        """Return the largest power of two that is at most as deep; the bounds of the configuration are classes, too."""
+        if self._is_exact or depth >= self._topic.max_depth:
+            return depth
+        return max(min(depth, self._topic.min_depth), 1 << (depth.bit_length() - 1))
+
+
+def _is_longer(one_ns: int, other_ns: int) -> bool:
+    """Return whether one deadline is longer than another (0 = infinite)."""
+    return other_ns > 0 and (one_ns == 0 or one_ns > other_ns)
+
+
+class Wanted:
+    """What the program would give every topic now.
+
+    A row whose class still fits keeps its writer. The uniform policy has no classes: its rows have the exact optimum. A
+    silent source keeps its ceiling and its QoS: it costs nothing now, and finds them when it returns.
 
     Parameters
     ----------
     allocation : answer of the program for the budget that lasts
     previous : rows of the plan before
+
+    Attributes
+    ----------
+    rows : of every topic
+    moves : where QoS should go; a topic that is missing is where it should be
+    depths : that the allocation gives, in their classes (samples)
+    requests : tightest deadline that readers request, by topic (ns)
+    silent : topics that nobody publishes on
     """
-    requests, silent, ladder = tightest_requests(publishers), silent_topics(publishers), _ladder(allocation)
-    large = {publisher.topic for publisher in publishers if publisher.payload_bytes > FRAGMENT_BYTES}
-    rows: dict[str, TopicPlan] = {}
-    moves: dict[str, Move] = {}
-    for row, topic in zip(allocation.topics, topics, strict=True):
-        request_ns, kept = requests.get(topic.name, 0), previous.get(topic.name)
-        fit = _fit(row, topic, request_ns, slack=settings.program.deadline_slack)
-        fresh = _row(fit, topic, ladder)
-        if topic.name in silent:
-            fresh = _silent(fresh, kept, request_ns, is_large=topic.name in large)
-        elif kept is not None:
-            fresh = _without_noise(fresh, kept)
-            if (move := fit.move(kept, ladder)) is Move.NONE:
-                fresh = with_qos_of(fresh, kept, request_ns)
-            else:
-                moves[topic.name] = move
-        if (most_hz := settings.topic(topic.name).max_rate_hz) is not None:
-            fresh = replace(fresh, rate_hz=min(fresh.rate_hz, most_hz))
-        rows[topic.name] = fresh if allocation.uniform is None else alike(fresh)
-    return rows, moves
+
+    def __init__(
+        self,
+        allocation: Allocation,
+        topics: Sequence[Topic],
+        publishers: Sequence[PublisherState],
+        *,
+        previous: Mapping[str, TopicPlan],
+        settings: Settings,
+    ) -> None:
+        self.rows: dict[str, TopicPlan] = {}
+        self.moves: dict[str, Move] = {}
+        self.depths: dict[str, int] = {}
+        self.requests: dict[str, int] = {}
+        for publisher in publishers:
+            if requested_ns := publisher.requested_deadline_ns:
+                self.requests[publisher.topic] = min(requested_ns, self.requests.get(publisher.topic, requested_ns))
+        self.silent = frozenset(p.topic for p in publishers) - {p.topic for p in publishers if p.source_rate_hz > 0}
+        large = {publisher.topic for publisher in publishers if publisher.payload_bytes > FRAGMENT_BYTES}
+        slack, is_exact = settings.program.deadline_slack, allocation.uniform is not None
+        for given, topic in zip(allocation.topics, topics, strict=True):
+            name, kept = topic.name, previous.get(topic.name)
+            fit = _Fit(given, topic, request_ns=self.requests.get(name, 0), slack=slack, is_exact=is_exact)
+            self.depths[name] = fit.depth
+            row = _row(fit, topic)
+            if name in self.silent:
+                row = self._silent(row, name, kept, is_large=name in large)
+            elif kept is not None:
+                row = _without_noise(row, kept)
+                if (move := fit.move(kept)) is Move.NONE:
+                    row = self.with_qos_of(row, name, kept)
+                else:
+                    self.moves[name] = move
+            if (most_hz := settings.topic(name).max_rate_hz) is not None:
+                row = replace(row, rate_hz=min(row.rate_hz, most_hz))
+            self.rows[name] = alike(row) if is_exact else row
+
+    def keeps_its_readers(self, name: str, row: TopicPlan) -> bool:
+        """Return whether no reader of a topic would disconnect."""
+        return keeps_its_readers(row, self.requests.get(name, 0))
+
+    def with_qos_of(self, row: TopicPlan, name: str, kept: TopicPlan) -> TopicPlan:
+        """Return a row with the QoS of another one, unless a reader would disconnect."""
+        return (
+            replace(row, depth=kept.depth, deadline_ns=kept.deadline_ns) if self.keeps_its_readers(name, kept) else row
+        )
+
+    def _silent(self, row: TopicPlan, name: str, kept: TopicPlan | None, *, is_large: bool) -> TopicPlan:
+        """Return the row of a silent source: rate and period are unknown, so new ones would have no basis.
+
+        Where no rate was ever known, small samples have no ceiling, and large ones begin slowly, as before any plan.
+        """
+        row = replace(row, deadline_ns=self.requests.get(name, 0))
+        if kept is None:
+            return row if is_large else replace(row, rate_hz=math.inf)
+        row = replace(row, rate_hz=kept.rate_hz)
+        if kept.weight > 0 and kept.packets:  # a size includes the heartbeats of a sample, which depend on the rate
+            row = replace(row, wire_bytes=kept.wire_bytes, packets=kept.packets)
+        return self.with_qos_of(row, name, kept)
 
 
-def depths(allocation: Allocation, topics: Sequence[Topic]) -> dict[str, int]:
-    """Return the depths that an allocation gives, in their classes (samples)."""
-    ladder = _ladder(allocation)
-    return {
-        topic.name: _fit(row, topic, 0, slack=1.0).qos(ladder)[0]
-        for row, topic in zip(allocation.topics, topics, strict=True)
-    }
-
-
-def silent_topics(publishers: Sequence[PublisherState]) -> frozenset[str]:
-    """Return the topics that nobody publishes on now."""
-    return frozenset(p.topic for p in publishers) - {p.topic for p in publishers if p.source_rate_hz > 0}
-
-
-def with_qos_of(row: TopicPlan, kept: TopicPlan, requested_deadline_ns: int) -> TopicPlan:
-    """Return a row with the QoS of another one, unless a reader would disconnect."""
-    if not keeps_its_readers(kept, requested_deadline_ns):
-        return row
-    return replace(row, depth=kept.depth, deadline_ns=kept.deadline_ns)
-
-
-def _silent(row: TopicPlan, kept: TopicPlan | None, requested_deadline_ns: int, *, is_large: bool) -> TopicPlan:
-    """Return the row of a silent source: rate and period are unknown, so new ones would have no basis.
-
-    Where no rate was ever known, small samples have no ceiling, and large ones begin slowly, as before a first plan.
-    """
-    row = replace(row, deadline_ns=requested_deadline_ns)
-    if kept is None:
-        return row if is_large else replace(row, rate_hz=math.inf)
-    row = replace(row, rate_hz=kept.rate_hz)
-    if kept.weight > 0 and kept.packets:  # a size includes the heartbeats of a sample, which depend on the rate
-        row = replace(row, wire_bytes=kept.wire_bytes, packets=kept.packets)
-    return with_qos_of(row, kept, requested_deadline_ns)
+def _row(fit: _Fit, topic: Topic) -> TopicPlan:
+    return TopicPlan(
+        rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
+        min_rate_hz=topic.min_rate_hz,
+        deadline_ns=fit.deadline_ns,
+        depth=fit.depth,
+        weight=topic.weight,
+        wire_bytes=topic.wire_bytes,
+        packets=topic.packets,
+    )
 
 
 def _without_noise(row: TopicPlan, kept: TopicPlan) -> TopicPlan:
@@ -125,44 +199,3 @@ def _without_noise(row: TopicPlan, kept: TopicPlan) -> TopicPlan:
     if row.packets == kept.packets and math.isclose(row.wire_bytes, kept.wire_bytes, rel_tol=_NOISE):
         row = replace(row, wire_bytes=kept.wire_bytes)
     return row
-
-
-def _ladder(allocation: Allocation) -> Ladder:
-    return CLASSES if allocation.uniform is None else EXACT
-
-
-def _row(fit: Fit, topic: Topic, ladder: Ladder) -> TopicPlan:
-    """Return the row of one topic under an allocation."""
-    depth, deadline_ns = fit.qos(ladder)
-    return TopicPlan(
-        rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
-        min_rate_hz=topic.min_rate_hz,
-        deadline_ns=deadline_ns,
-        depth=depth,
-        weight=topic.weight,
-        wire_bytes=topic.wire_bytes,
-        packets=topic.packets,
-    )
-
-
-def _fit(row: TopicAllocation, topic: Topic, request_ns: int, *, slack: float) -> Fit:
-    """Return what an allocation gives a topic: the period of its rate has a slack, so jitter misses no deadline."""
-    period_ns = row.deadline_ns
-    offered_ns = max(math.ceil(period_ns * slack), period_ns + _LEAST_SLACK_NS) if period_ns else 0
-    return Fit(
-        period_ns=period_ns,
-        offered_ns=min(offered_ns, LONGEST_DEADLINE_NS),
-        request_ns=request_ns,
-        depth=row.depth_applied,
-        least_depth=topic.min_depth,
-        most_depth=topic.max_depth,
-    )
-
-
-def tightest_requests(publishers: Sequence[PublisherState]) -> dict[str, int]:
-    """Return the tightest deadline that readers request, for every topic with such a reader (ns)."""
-    tightest: dict[str, int] = {}
-    for publisher in publishers:
-        if requested_ns := publisher.requested_deadline_ns:
-            tightest[publisher.topic] = min(requested_ns, tightest.get(publisher.topic, requested_ns))
-    return tightest

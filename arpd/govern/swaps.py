@@ -64,12 +64,9 @@ def swap_costs(publishers: Sequence[PublisherState], *, participants: int) -> di
     participants : processes across the link
     """
     of_node = Counter(publisher.node for publisher in publishers)
-    by_node = {
-        node: participants * swap_bytes(_ENDPOINTS_OF_A_NODE + _ENDPOINTS_PER_PUBLISHER * count)
-        for node, count in of_node.items()
-    }
     costs: dict[str, float] = {}
     for publisher in publishers:
-        cost = 0.0 if publisher.refusal_reason.is_lasting else by_node[publisher.node]
+        endpoints = _ENDPOINTS_OF_A_NODE + _ENDPOINTS_PER_PUBLISHER * of_node[publisher.node]
+        cost = 0.0 if publisher.refusal_reason.is_lasting else participants * swap_bytes(endpoints)
         costs[publisher.topic] = costs.get(publisher.topic, 0.0) + cost
     return costs

@@ -155,7 +155,7 @@ class Decision:
     level_changed : True when this tick made a new plan
     reason : cause of that plan, empty without one
     price : what every endpoint computes its rate from; None without topics
-    refusals : reasons for which a plan that is due was refused
+    refusals : reasons for which swaps that are due wait (``budget``)
     """
 
     allowed: float = 1.0

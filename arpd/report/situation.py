@@ -41,10 +41,6 @@ HIDDEN_WHILE_CUT = {
     Condition.WITHOUT_PEER,
     Condition.POSTPONED,
 }
-_POSTPONED = {
-    "dwell": "the last plan is too young (governor.dwell)",
-    "budget": "limit reached: swaps have used up their part of the link",
-}
 
 
 class Slowed(NamedTuple):
@@ -218,9 +214,8 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
         after = format_duration((snapshot.finished_at_s - _since_s(snapshot, late)) // 1)
         yield replace(late, why=f"{who_confirmed(snapshot)} after {after}")
     if decision.refusals:
-        about = f"plan {decision.plan.generation}: {' '.join(decision.refusals)}"
-        words = (_POSTPONED.get(reason, reason) for reason in decision.refusals)
-        yield Finding(Condition.POSTPONED, "; ".join(words), about)
+        why = "limit reached: swaps have used up their part of the link"
+        yield Finding(Condition.POSTPONED, why, f"plan {decision.plan.generation}")
 
 
 def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:

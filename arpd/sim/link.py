@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.sim.schedule import Service
@@ -12,7 +12,6 @@ from arpd.sim.schedule import Service
 if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
-    from typing import Self
 
     from arpd.sim.schedule import LossStep, RateSchedule
     from arpd.sim.timeline import Timeline
@@ -71,8 +70,7 @@ class SimulatedLink:
     Parameters
     ----------
     timeline : virtual time
-    schedule : rate over run time
-    origin_s : start of run time (s)
+    schedule : rate over the time of the timeline
     model : other properties of the link
     random : source of the losses
 
@@ -83,11 +81,9 @@ class SimulatedLink:
     lost_packets : sent, but they will not arrive
     """
 
-    def __init__(
-        self, timeline: Timeline, schedule: RateSchedule, *, origin_s: float, model: LinkModel, random: Random
-    ) -> None:
-        self._timeline, self._origin_s, self._model, self._random = timeline, origin_s, model, random
-        self._service = Service(schedule, origin_s)
+    def __init__(self, timeline: Timeline, schedule: RateSchedule, *, model: LinkModel, random: Random) -> None:
+        self._timeline, self._model, self._random = timeline, model, random
+        self._service = Service(schedule)
         # One frame is in service, not queued.
         self._room_bytes = model.queue_bytes + model.firmware_bytes + FRAME_BYTES
         self._is_lossless = not (model.loss or model.outages or model.losses)
@@ -179,9 +175,9 @@ class SimulatedLink:
         """Return how many of the packets that are due at this moment arrive; what is never due is not lost."""
         if math.isinf(at_s):
             return packets
-        if self._model.is_out(at_s - self._origin_s):
+        if self._model.is_out(at_s):
             return 0
-        loss = self._model.loss_ratio(at_s - self._origin_s)
+        loss = self._model.loss_ratio(at_s)
         return sum([self._random.random() >= loss for _ in range(packets)]) if loss else packets
 
 
@@ -239,24 +235,17 @@ class ForeignFlow:
     end_s: float
     rate_bytes_per_second: float
 
-    def after(self, origin_s: float) -> Self:
-        """Return the flow at times of the timeline, where run time begins at ``origin_s``."""
-        return replace(self, start_s=origin_s + self.start_s, end_s=origin_s + self.end_s)
-
     def offered_bytes(self, t_s: float) -> float:
         """Return the bytes offered by a moment."""
         return self.rate_bytes_per_second * (min(max(t_s, self.start_s), self.end_s) - self.start_s)
 
-    def play(self, timeline: Timeline, link: SimulatedLink, *, origin_s: float) -> None:
-        """Plan the first packet; each packet plans the next."""
-        packets = 0
+    def play(self, timeline: Timeline, link: SimulatedLink, packets: int = 0) -> None:
+        """Plan the next packet, after so many; it plans the one after."""
+        at_s = self.start_s + packets * FRAME_BYTES / self.rate_bytes_per_second
 
         def send() -> None:
-            nonlocal packets
             link.send(FRAME_BYTES, 1, lambda: None)
-            packets += 1
-            next_s = self.start_s + packets * FRAME_BYTES / self.rate_bytes_per_second
-            if next_s < self.end_s:
-                timeline.at(origin_s + next_s, send)
+            self.play(timeline, link, packets + 1)
 
-        timeline.at(origin_s + self.start_s, send)
+        if at_s < self.end_s:
+            timeline.at(at_s, send)

@@ -239,35 +239,16 @@ class SimulatedPublisher:
             self._alarm.set(due_s)
 
 
-class SampleSource:
-    """A timer that publishes from ``start_s`` to ``end_s``, with the jitter of an executor.
+def play_source(
+    timeline: Timeline, publish: Callable[[], None], *, rate_hz: float, end_s: float, random: Random
+) -> None:
+    """Publish from the start of the run to its end, with the jitter of an executor."""
 
-    Parameters
-    ----------
-    publish : called at every period
-    random : source of phase and jitter
-    """
+    def fire(due_s: float) -> None:
+        publish()
+        due_s += 1.0 / rate_hz
+        if due_s < end_s:
+            timeline.at(due_s + min(0.002, random.expovariate(2000.0)), partial(fire, due_s))
 
-    def __init__(
-        self,
-        timeline: Timeline,
-        publish: Callable[[], None],
-        *,
-        rate_hz: float,
-        start_s: float,
-        end_s: float,
-        random: Random,
-    ) -> None:
-        self._timeline = timeline
-        self._publish = publish
-        self._period_s = 1.0 / rate_hz
-        self._end_s = end_s
-        self._random = random
-        self._due_s = start_s + random.random() * self._period_s
-        timeline.at(self._due_s, self._fire)
-
-    def _fire(self) -> None:
-        self._publish()
-        self._due_s += self._period_s
-        if self._due_s < self._end_s:
-            self._timeline.at(self._due_s + min(0.002, self._random.expovariate(2000.0)), self._fire)
+    phase_s = random.random() / rate_hz
+    timeline.at(phase_s, partial(fire, phase_s))

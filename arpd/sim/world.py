@@ -71,7 +71,7 @@ class _Peer:
     receiver: Receiver = field(default_factory=Receiver)
     rx_bytes: int = 0
     rx_packets: int = 0
-    stamp_s: float = 0.0
+    stamp_s: float = -math.inf
 
 
 class SimulatedWorld:

@@ -16,8 +16,8 @@ from random import Random
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from arpd.daemon import scenario as simulated
 from arpd.daemon.compare import WARM_UP_S, between, summarize
-from arpd.daemon.scenario import run
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.baselines import Oracle
@@ -90,19 +90,18 @@ class Scenario:
 
     def play(self, way: str, seed: int) -> ScenarioResult:
         logging.disable(logging.CRITICAL)
-        return run(
+        return simulated.Scenario(
             self.settings,
             self.schedule(seed),
             self.duration_s,
             seed=seed,
-            managed=True,
             model=self.model,
             foreign=self.foreign,
             into_peer=self.into_peer,
             has_peer=self.has_peer,
             topics=self.robot,
             make_estimator=Oracle if way == BOUND else None,
-        )
+        ).play()
 
 
 def _marks(marks: Iterable[tuple[float, float]]) -> RateSchedule:

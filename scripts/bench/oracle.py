@@ -54,7 +54,7 @@ class Witness:
         self._course: Course = [(start_s, rate, loss) for start_s, rate, loss in found["course"]]
         self._started_s = math.inf if found["started_s"] is None else found["started_s"]
         steps = (RateStep(start_s=start_s, rate_bytes_per_second=rate) for start_s, rate, _ in self._course)
-        self._service = Service(RateSchedule(steps=tuple(steps)), 0.0)
+        self._service = Service(RateSchedule(steps=tuple(steps)))
 
     def truth(self) -> LinkEstimate:
         """Return the truth of now."""

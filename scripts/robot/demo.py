@@ -198,14 +198,14 @@ def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides in virtual time."""
-    from arpd.daemon.scenario import run as simulate
+    from arpd.daemon.scenario import Scenario
     from arpd.sim.demo import demo_settings
 
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
         for is_managed in (False, True):
             shown(float(is_managed), "with arpd" if is_managed else "without arpd")
-            sides.append(simulate(demo_settings(), schedule, duration_s, seed=1, managed=is_managed).topics)
+            sides.append(Scenario(demo_settings(), schedule, duration_s, managed=is_managed).play().topics)
     return pair_up(*sides)
 
 

@@ -236,7 +236,7 @@ def make_snapshot() -> Snapshot:
         ),
         allocation=_ALLOCATION,
         decision=Decision(
-            allowed=0.75, plan=_PLAN, level_changed=False, reason="", price=_ALLOCATION.price, refusals=("dwell",)
+            allowed=0.75, plan=_PLAN, level_changed=False, reason="", price=_ALLOCATION.price, refusals=("budget",)
         ),
         totals=Totals(
             ticks=9000,
@@ -246,7 +246,7 @@ def make_snapshot() -> Snapshot:
                 {("osqp", "solved"): 8990, ("closed_form", "solved"): 10, ("osqp", "failed"): 9}
             ),
             plans_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
-            refusals_by_reason=MappingProxyType({"dwell": 40}),
+            refusals_by_reason=MappingProxyType({"budget": 40}),
             applies_by_result=MappingProxyType({"ok": 6, "refused": 1}),
             probes=120,
             probe_bytes=1_440_000,

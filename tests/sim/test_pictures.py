@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.daemon.scenario import run
+from arpd.daemon.scenario import Scenario
 from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings
 from arpd.sim.link import LinkModel
@@ -24,7 +24,7 @@ LASTS_S = 30.0
 def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_back):
     """On either kind of bottleneck pictures arrive, as old as the link makes them, and no sample of the IMU is lost."""
     model = LinkModel(pushes_back=pushes_back)
-    result = run(Settings(), RateSchedule.parse("0:20mbit"), LASTS_S, seed=1, managed=True, model=model, topics=TOPICS)
+    result = Scenario(Settings(), RateSchedule.parse("0:20mbit"), LASTS_S, model=model, topics=TOPICS).play()
     camera, imu, _ = result.topics
     assert camera.received / LASTS_S > (1.5 if pushes_back else 0.8)
     assert camera.latency_p99_s < 1.0
@@ -37,7 +37,7 @@ def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_bac
 def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back):
     """Pictures fill the link; an IMU and commands lose nothing and wait 20 ms, longer only at a fall."""
     model = LinkModel(pushes_back=pushes_back)
-    result = run(ENDS, RateSchedule.parse(rates), LASTS_S, seed=1, managed=True, model=model, topics=TOPICS)
+    result = Scenario(ENDS, RateSchedule.parse(rates), LASTS_S, model=model, topics=TOPICS).play()
     camera, imu, command = result.topics
     carried = result.moments[-1].carried_bytes
     assert camera.delivered_bytes > 0.75 * carried
@@ -50,7 +50,7 @@ def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back
 def test_after_an_outage_of_two_ends_no_old_command_runs():
     """What waited while the link was out is replaced by what is newer, in both directions."""
     model = LinkModel(outages=((12.0, 16.0),))
-    result = run(ENDS, RateSchedule.parse("0:20mbit"), LASTS_S, seed=1, managed=True, model=model, topics=TOPICS)
+    result = Scenario(ENDS, RateSchedule.parse("0:20mbit"), LASTS_S, model=model, topics=TOPICS).play()
     _, imu, command = result.topics
     for topic in (imu, command):
         assert topic.latency_max_s < 4.6

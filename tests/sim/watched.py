@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
     from arpd.sim.schedule import RateSchedule
 
-STARTS_S = 1000.0  # of the sensors, on the clock of the daemon
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Tick:
@@ -77,7 +75,7 @@ def watch(
     do : run time (s) → called with the daemon at that time
     see : changes the daemon's observation, given the run time (s)
     mute_s : run time from which on nothing of the daemon reaches anybody, as if it were dead (s)
-    options : further ones of `arpd.daemon.scenario.run`
+    options : further ones of `arpd.daemon.scenario.Scenario`
     """
     orders = sorted((do or {}).items())
     daemons: list[Daemon] = []
@@ -89,24 +87,24 @@ def watch(
             daemons.append(self)
 
         def tick(self, now_s):
-            while orders and now_s >= STARTS_S + orders[0][0]:
+            while orders and now_s >= orders[0][0]:
                 orders.pop(0)[1](self)
             decision = super().tick(now_s)
             # A tick that rests leaves the snapshot of the one before, whose plan must not count again.
-            ticks.append(Tick(t_s=now_s - STARTS_S, snapshot=replace(self.snapshot, decision=decision)))
+            ticks.append(Tick(t_s=now_s, snapshot=replace(self.snapshot, decision=decision)))
             return decision
 
     class Seen(SimulatedWorld):
         def observe(self, now_s):
             observation = super().observe(now_s)
-            return observation if see is None else see(now_s - STARTS_S, observation)
+            return observation if see is None else see(now_s, observation)
 
         def _reach(self, node, wire_bytes, deliver):
-            if self._timeline.now_s < STARTS_S + mute_s:
+            if self._timeline.now_s < mute_s:
                 super()._reach(node, wire_bytes, deliver)
 
     with mock.patch.object(scenario, "Daemon", Beside), mock.patch.object(scenario, "SimulatedWorld", Seen):
-        result = scenario.run(settings, schedule, duration_s, seed=seed, managed=True, **options)
+        result = scenario.Scenario(settings, schedule, duration_s, seed=seed, **options).play()
     return Watched(result=result, daemon=daemons[0], ticks=tuple(ticks))
 
 

@@ -20,7 +20,6 @@ from tests.sample_publishers import publisher
 
 MBIT = 125_000.0  # bytes/s
 TICK_S = 0.1
-START_S = 1000.0
 SAMPLE_BYTES, SAMPLE_PACKETS = 30_000, 22
 
 
@@ -56,19 +55,17 @@ class Run:
 
     def __init__(self, schedule, *, peers=None, samples=(), upload=(), way_back=(), model=None, seed=1, **sees):
         self.sees = sees
-        self.timeline = Timeline(START_S)
+        self.timeline = Timeline(0.0)
         self.random = Random(f"{seed} samples")
         self.up, down = (
-            SimulatedLink(
-                self.timeline, schedule, origin_s=START_S, model=model or LinkModel(), random=Random(f"{seed} {way}")
-            )
+            SimulatedLink(self.timeline, schedule, model=model or LinkModel(), random=Random(f"{seed} {way}"))
             for way in ("up", "down")
         )
         for load in samples:
             self.send(0, *load)
         for link, loads in ((self.up, upload), (down, way_back)):
             for flow in flows(loads):
-                flow.play(self.timeline, link, origin_s=START_S)
+                flow.play(self.timeline, link)
         self.peers = peers or [Peer()]
         self.worlds = [
             SimulatedWorld(
@@ -84,15 +81,15 @@ class Run:
         ]
         self.estimator = Estimator(LinkSettings())
         self.course = []  # run time, estimate
-        self.ticked_s = START_S
+        self.ticked_s = 0.0
         self.alarm = Alarm(self.timeline, self.tick)
-        self.alarm.set(START_S + TICK_S)
+        self.alarm.set(TICK_S)
 
     def send(self, sent, start_s, end_s, mbit):
         """Send a sample now and then the next one, a little late at random."""
         at_s = start_s + (sent + 0.2 * self.random.random()) * SAMPLE_BYTES / (mbit * MBIT)
         if at_s < end_s:
-            self.timeline.at(START_S + at_s, lambda: self.leave(sent, start_s, end_s, mbit))
+            self.timeline.at(at_s, lambda: self.leave(sent, start_s, end_s, mbit))
 
     def leave(self, sent, start_s, end_s, mbit):
         self.up.send(SAMPLE_BYTES, SAMPLE_PACKETS, lambda: None)
@@ -100,7 +97,7 @@ class Run:
 
     def until(self, end_s):
         """Run up to a time, and return the last estimate."""
-        self.timeline.run_until(START_S + end_s)
+        self.timeline.run_until(end_s)
         return self.course[-1][1]
 
     def wake(self):
@@ -110,7 +107,7 @@ class Run:
     def tick(self):
         self.ticked_s = now_s = self.timeline.now_s
         self.alarm.set(now_s + TICK_S)
-        run_s = now_s - START_S
+        run_s = now_s
         seen = [world.observe(now_s) for world in self.worlds]
         reports = [
             self.as_seen(report, peer)

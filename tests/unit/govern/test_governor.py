@@ -239,21 +239,11 @@ def test_a_change_must_last():
     assert run.until_changed(2e6) == (pytest.approx(RISE_S, abs=LATE_S), "up")
 
 
-@pytest.mark.parametrize("half_s", [20, 90])
-def test_a_link_that_swings_swaps_less_and_less(half_s):
-    """On a link that swings for ten minutes rises wait longer and longer, so the topics settle at what always fits."""
-    run = Run().planned()
-    swaps = [0, 0]
-    for half in range(1200 // (2 * half_s)):
-        for capacity in (2e6, 4e5):
-            before = qos(run.governor.plan)
-            for _ in range(half_s):
-                run.ticks(1.0, capacity)
-                now = qos(run.governor.plan)
-                swaps[half >= 600 // (2 * half_s)] += sum(before[name] != now[name] for name in now)
-                before = now
-    assert swaps[1] <= len(TOPICS) * 2
-    assert swaps[1] <= swaps[0]
+def test_a_link_that_swings_within_a_minute_swaps_nothing():
+    """Shorter deadlines wait until a rise has lasted, so the topics settle at what always fits."""
+    run = Run().planned(4e5)
+    for _ in range(10):
+        assert not changes([*run.ticks(20.0, 2e6), *run.ticks(20.0, 4e5)])
 
 
 def test_a_change_that_no_class_feels_is_no_plan():
@@ -315,7 +305,7 @@ def test_swaps_stay_within_their_part_of_the_link(seed):
             rows = now
         assert spent <= 0.01 * most_level * (30.0 + at_s - times_s[0]) + cost
     assert spent > cost
-    assert run.governor.refusals_by_reason["budget"] > 0
+    assert run.governor.postponed > 0
 
 
 def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
@@ -328,7 +318,7 @@ def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
         row = decision.plan.topics[topic.name]
         assert (row.rate_hz, row.weight) == (1.25 * SOURCE_HZ, topic.weight)
     assert {name for name, row in qos(decision.plan).items() if row != APPLICATION} == {"/t1", "/t2"}
-    assert run.governor.refusals_by_reason == {"budget": 1}
+    assert run.governor.postponed == 1
     assert changes(run.ticks(30.0)) == []
     assert changes(run.ticks(30.0)) == ["budget"]
     assert APPLICATION not in qos(run.governor.plan).values()
@@ -408,11 +398,10 @@ def test_planning_goes_on_at_the_end_of_all_numbers(announced):
 
 
 def test_who_invents_a_newer_plan_each_time_is_not_followed_each_time():
-    """A takeover is made at once, the next one only after the dwell, and the refusal names the dwell."""
+    """A takeover is made at once where the last plan is old enough, the next one only after the dwell."""
     run, decisions = Run().planned(), []
     for number in range(200):
         run.generation = 10 * (number + 1)
         decisions.append(run.tick())
     assert decisions[0].reason == "takeover"
     assert changes(decisions).count("takeover") <= 1 + 20.0 / GOVERNOR.dwell_s
-    assert any("dwell" in decision.refusals for decision in decisions)

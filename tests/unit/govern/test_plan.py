@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.govern.plan import make_plan
+from arpd.govern.plan import Wanted
 from arpd.model.allocation import Topic
 from arpd.model.plan import QosPlan
 from arpd.model.settings import Backend, DefaultPreferences, ProgramSettings, Settings
@@ -18,18 +18,13 @@ from tests.sample_publishers import publisher
 PUBLISHER = publisher("/n", "/t")
 TOPIC = Topic(name="/t", wire_bytes=1200.0, packets=1, desired_rate_hz=20.0, min_rate_hz=2.0)
 PROGRAM = Program(Settings(), backend=Backend.CLOSED_FORM)
-EMPTY = QosPlan(generation=0, topics={}, level_bytes_per_second=0.0)
+EMPTY = QosPlan()
 
 
 def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPTY, settings=None):
-    return make_plan(
-        PROGRAM.solve(capacity, topics, 2.0**26),
-        topics,
-        publishers,
-        previous=previous.topics,
-        generation=previous.generation + 1,
-        settings=settings or Settings(),
-    )
+    allocation = PROGRAM.solve(capacity, topics, 2.0**26)
+    made = Wanted(allocation, topics, publishers, previous=previous.topics, settings=settings or Settings())
+    return QosPlan(generation=previous.generation + 1, topics=made.rows)
 
 
 @given(st.floats(1.0, 5.0), st.integers(1, 10**10), st.floats(5e3, 1e6), st.floats(0.5, 1000.0))

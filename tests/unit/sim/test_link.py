@@ -15,7 +15,6 @@ from arpd.sim.schedule import LossStep, RateSchedule, RateStep, Service
 from arpd.sim.timeline import Timeline
 from tests.examples import examples
 
-ORIGIN_S = 1000.0
 FRAME_BYTES = 1514
 
 
@@ -40,14 +39,12 @@ class Bench:
     arrived: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self):
-        self.timeline = Timeline(ORIGIN_S)
-        self.link = SimulatedLink(
-            self.timeline, self.schedule, origin_s=ORIGIN_S, model=self.model, random=Random(self.seed)
-        )
+        self.timeline = Timeline(0.0)
+        self.link = SimulatedLink(self.timeline, self.schedule, model=self.model, random=Random(self.seed))
 
     @property
     def now_s(self):
-        return self.timeline.now_s - ORIGIN_S
+        return self.timeline.now_s
 
     def send(self, wire_bytes, packets=1):
         number = len(self.sent)
@@ -55,7 +52,7 @@ class Bench:
         return self.link.send(wire_bytes, packets, lambda: self.arrived.__setitem__(number, self.now_s))
 
     def run_until(self, t_s):
-        self.timeline.run_until(ORIGIN_S + t_s)
+        self.timeline.run_until(t_s)
 
     def saturate(self, wire_bytes, until_s, *, every_s):
         """Send packets at a fixed interval."""
@@ -124,11 +121,11 @@ def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, 
 @given(schedules, st.lists(st.floats(0.0, 6.0), min_size=1, max_size=20))
 def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
     """`by` is the integral of the rate and `when` its first inverse, in any order of questions."""
-    service = Service(schedule, ORIGIN_S)
+    service = Service(schedule)
     for t_s in moments:
-        size = service.by(ORIGIN_S + t_s)
+        size = service.by(t_s)
         assert size == pytest.approx(carried(schedule, 0.0, t_s), abs=1e-3)
-        first_s = service.when(size + 1.0) - ORIGIN_S
+        first_s = service.when(size + 1.0)
         assert carried(schedule, t_s, first_s) == pytest.approx(1.0, abs=1e-2)
 
 

@@ -27,7 +27,6 @@ class Sender:
             SimulatedLink(
                 self.timeline,
                 RateSchedule.parse("0:20mbit"),
-                origin_s=0.0,
                 model=LinkModel(loss=loss),
                 random=Random(name),
             )

@@ -1,4 +1,4 @@
-"""Link traces: both formats, and faults with line and column."""
+"""Link traces: all formats, and faults with their line."""
 
 from __future__ import annotations
 
@@ -102,25 +102,25 @@ HEADER = "time_s,rate_bit_per_s,loss\n"
 @pytest.mark.parametrize(
     ("content", "place", "words"),
     [
-        ("# nothing\n\n", ":1:1: ", "empty"),
-        ("\n  12.5\n", ":2:3: ", "'12.5'"),
-        ("time_s,rate\n", ":1:1: ", "'time_s,rate'"),
-        (HEADER, ":1:1: ", "no row"),
-        (HEADER + "0,1e6,\n", ":2:1: ", "2 values; write 3"),
-        (HEADER + "0, fast,0\n", ":2:4: ", "rate_bit_per_s 'fast'"),
-        (HEADER + "0,nan,0\n", ":2:3: ", "rate_bit_per_s 'nan'"),
-        (HEADER + "1,1e6,0\n", ":2:1: ", "start at 0"),
-        (HEADER + "0,1e6,0\n\n5,1e6,0\n3,1e6,0\n", ":5:1: ", "3 s comes after 5 s"),
-        ("0\t20\n1\t20000000\n", ":2:3: ", "rate_mbit_per_s '20000000'"),
-        ("5\n 6,7\n", ":2:2: ", "'6,7'"),
-        ("5\n\u0667\n", ":2:1: ", "'\u0667'"),
-        ("5\n9\n8\n", ":3:1: ", "8 ms comes after 9 ms"),
-        ("0\n0\n", ":1:1: ", "no time"),
-        (b"time_s,rate_bit_per_s\n0,\xff\n", ":2:3: ", "UTF-8"),
+        ("# nothing\n\n", ":1: ", "empty"),
+        ("\n  12.5\n", ":2: ", "'12.5'"),
+        ("time_s,rate\n", ":1: ", "'time_s,rate'"),
+        (HEADER, ":1: ", "no row"),
+        (HEADER + "0,1e6,\n", ":2: ", "2 values; write 3"),
+        (HEADER + "0, fast,0\n", ":2: ", "rate_bit_per_s 'fast'"),
+        (HEADER + "0,nan,0\n", ":2: ", "rate_bit_per_s 'nan'"),
+        (HEADER + "1,1e6,0\n", ":2: ", "start at 0"),
+        (HEADER + "0,1e6,0\n\n5,1e6,0\n3,1e6,0\n", ":5: ", "3 s comes after 5 s"),
+        ("0\t20\n1\t20000000\n", ":2: ", "rate_mbit_per_s '20000000'"),
+        ("5\n 6,7\n", ":2: ", "'6,7'"),
+        ("5\n\u0667\n", ":2: ", "'\u0667'"),
+        ("5\n9\n8\n", ":3: ", "8 ms comes after 9 ms"),
+        ("0\n0\n", ":1: ", "no time"),
+        (b"time_s,rate_bit_per_s\n0,\xff\n", ":2: ", "UTF-8"),
     ],
 )
 def test_a_bad_trace_is_refused_where_it_goes_wrong(written, content, place, words):
-    """The message names file, line and column, the fault and the way out."""
+    """The message names file and line, the fault and the way out."""
     path = written(content)
     with pytest.raises(TraceError) as refused:
         read_trace(path)

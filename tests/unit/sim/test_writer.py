@@ -17,8 +17,6 @@ from arpd.sim.timeline import Timeline
 from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
 from tests.examples import examples
 
-ORIGIN_S = 1000.0
-
 
 class Delivered(Arrivals):
     """Records the samples that a reader receives, in order."""
@@ -35,12 +33,11 @@ class World:
     """One writer, one reader, and the link between them."""
 
     def __init__(self, *, depth, seed=1, **model):
-        self.timeline = Timeline(ORIGIN_S)
+        self.timeline = Timeline(0.0)
         self.there, self.back = (
             SimulatedLink(
                 self.timeline,
                 RateSchedule.parse("0:20mbit"),
-                origin_s=ORIGIN_S,
                 model=LinkModel(**model),
                 random=Random(f"{seed} {name}"),
             )
