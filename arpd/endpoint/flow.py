@@ -86,8 +86,6 @@ class Flow(Generic[W]):
         self._missed = -self._writer.deadlines_missed()
         self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
-        self._history: deque[bytes] | None = None
-        self._replay: deque[bytes] = deque()
 
     @property
     def plan(self) -> TopicPlan:
@@ -106,7 +104,7 @@ class Flow(Generic[W]):
 
     def write(self, sample: bytes) -> None:
         """Write a sample that the queue released, or hold it while a swap says so; may block on a full link."""
-        if not (self._held or self._replay or self._awaits_silence):  # the usual case
+        if not (self._held or self._awaits_silence):  # the usual case
             self._write(sample)
             return
         self._held.append(sample)
@@ -116,18 +114,13 @@ class Flow(Generic[W]):
         if self._held:
             self._on_held()
 
-    def keep_history(self) -> None:
-        """Replay the old writer's samples by each new writer, for late readers of a TRANSIENT_LOCAL topic."""
-        self._history = deque(maxlen=self.qos.depth)
-        self._swap.needs_proof = False  # a reader that matches late gets all of them
-
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
         """Take new settings, of which the queue gives the lane its rates: depth and deadline come by a swap.
 
         Parameters
         ----------
         plan : settings as requested
-        qos : QoS for the writer, after clamps and refusals
+        qos : QoS for the writer, after refusals
         """
         with self._lock:
             self._plan = plan
@@ -144,7 +137,7 @@ class Flow(Generic[W]):
         -------
         Time of the next call, ``inf`` = not before something changes (s).
         """
-        if not (self._swap.is_busy or self._replay or self._held):
+        if not (self._swap.is_busy or self._held):
             return math.inf
         self._step(now_s)
         self._release()
@@ -179,7 +172,6 @@ class Flow(Generic[W]):
         with self._lock:
             self._withheld[WithheldCause.CLOSED.value] += len(self._held)
             self._held.clear()
-            self._replay.clear()
             self._swap.close()
 
     def _write(self, sample: bytes) -> None:
@@ -191,8 +183,6 @@ class Flow(Generic[W]):
         if self._awaits_silence:
             with self._lock:
                 self._swap.wrote(self._clock())
-        if self._history is not None:
-            self._history.append(sample)
 
     def _step(self, now_s: float) -> None:
         """Move a swap on as far as its writers allow."""
@@ -202,17 +192,11 @@ class Flow(Generic[W]):
                 self._swap.step(now_s)
             finally:
                 self._writer, self._awaits_silence = self._swap.current, self._swap.awaits_silence
-            if self._writer is before:
-                return
-            self._missed += before.deadlines_missed() - self._writer.deadlines_missed()
-            if self._history is not None:
-                self._replay = deque(self._history)
-                self._history = deque(self._history, maxlen=self._swap.qos.depth)
+            if self._writer is not before:
+                self._missed += before.deadlines_missed() - self._writer.deadlines_missed()
 
     def _release(self) -> None:
         """Write what a swap held, at twice the rate at which it came."""
-        while self._replay:
-            self._writer.publish(self._replay.popleft())
         while self._held and not self._swap.is_holding and (now_s := self._clock()) >= self._catch_up_s:
             spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
             # A caller that comes late may write two more.

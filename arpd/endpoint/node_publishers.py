@@ -47,19 +47,14 @@ _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
 
 
 class Paced(Protocol):
-    """An AdaptivePublisher as `NodePublishers` sees it."""
+    """An AdaptivePublisher as `NodePublishers` sees it, with its topic and the QoS of the application."""
 
-    @property
-    def topic_name(self) -> str:
-        """Fully qualified topic name."""
+    topic_name: str
+    baseline: WriterQos
 
     @property
     def plan(self) -> TopicPlan:
         """Settings requested last."""
-
-    @property
-    def baseline(self) -> WriterQos:
-        """QoS of the application."""
 
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings."""

@@ -24,7 +24,6 @@ from arpd.model.endpoints import (
     SwapResult,
     WriterQos,
 )
-from arpd.model.plan import keeps_its_readers
 from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.ros.rmw import current_rmw
 
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-_LATCHED = "is TRANSIENT_LOCAL: a new writer lacks what late joiners need; swap_transient_local=True swaps it anyway"
+_LATCHED = "is TRANSIENT_LOCAL: a new writer would lack what late joiners need"
 
 
 class AdaptivePublisher:
@@ -56,9 +55,12 @@ class AdaptivePublisher:
         swap prepares or retires; the counts in the events start again with every swap
     qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named
     overflow : which samples are withheld when they come faster than the paced rate
-    swap_transient_local : swap the writer of a TRANSIENT_LOCAL topic too. The new one first writes the samples that the
-        old one held, for late readers; the readers already there receive those twice. False = only pace such a topic
     swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
+
+    Attributes
+    ----------
+    topic_name : fully qualified
+    baseline : QoS of the application at creation
 
     Notes
     -----
@@ -82,7 +84,6 @@ class AdaptivePublisher:
         event_callbacks: PublisherEventCallbacks | None = None,
         qos_overriding_options: QoSOverridingOptions | None = None,
         overflow: Overflow = Overflow.LATEST,
-        swap_transient_local: bool = False,
         swap_timing: SwapTiming | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -90,19 +91,19 @@ class AdaptivePublisher:
         self.topic = topic
         # A copy, so that later changes of the application's profile do not reach the next writer.
         own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
-        self._resolved: str = node.resolve_topic_name(topic)
-        self.qos_profile = overridden(node, self._resolved, own)
-        self._requests = Requests(node, self._resolved)
+        self.topic_name: str = node.resolve_topic_name(topic)
+        self.qos_profile = overridden(node, self.topic_name, own)
+        self._requests = Requests(node, self.topic_name)
         self._node = node
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
         self._overrides = without_ours(qos_overriding_options)
         self._price: Price | None = None
-        self._baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
+        self.baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._shared = NodePublishers.of(node)
         self._flow = Flow(
             create=self._create_writer,
-            qos=self._baseline,
+            qos=self.baseline,
             overflow=overflow,
             clock=clock,
             on_swap=self._on_swap,
@@ -116,11 +117,8 @@ class AdaptivePublisher:
         if words := current_rmw().refusal:
             self._lasting_refusal = Refusal(RefusalReason.MIDDLEWARE, words)
         elif self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL:
-            if swap_transient_local:
-                self._flow.keep_history()
-            else:
-                self._lasting_refusal = Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self._resolved} {_LATCHED}")
-        self._refusal = self._clamp = NO_REFUSAL
+            self._lasting_refusal = Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self.topic_name} {_LATCHED}")
+        self._refusal = NO_REFUSAL
         self._refusals = 0  # readers that refused and that a warning named
         self._thread = self._shared.thread
         self._thread.add(self._flow.lane)
@@ -131,11 +129,6 @@ class AdaptivePublisher:
             raise
 
     # -- the interface of rclpy.publisher.Publisher
-
-    @property
-    def topic_name(self) -> str:
-        """Fully qualified topic name."""
-        return self._resolved
 
     def __getattr__(self, name: str) -> Any:
         """Return what else a publisher has, of the writer in force; a swap replaces it, so do not store its handle."""
@@ -183,27 +176,12 @@ class AdaptivePublisher:
         """Settings requested last."""
         return self._flow.plan
 
-    @property
-    def baseline(self) -> WriterQos:
-        """QoS of the application at creation."""
-        return self._baseline
-
     def retune(self, plan: TopicPlan) -> None:
-        """Take new settings: pacing changes now, depth and deadline by a swap.
-
-        Parameters
-        ----------
-        plan : new settings; a deadline longer than a reader requests is clamped to that request, because the reader
-            would silently disconnect (docs/design.md, DDS facts)
-        """
-        if plan == self._flow.plan and not self._refusal.words and not self._clamp.words:
+        """Take new settings: pacing changes now, depth and deadline by a swap."""
+        if plan == self._flow.plan and not self._refusal.words:
             return  # repeated for another node
-        requested_ns = self._requests.tightest_ns()
-        is_clamped = not keeps_its_readers(plan, requested_ns)
-        clamp = Refusal(RefusalReason.CLAMPED, f"deadline clamped to {requested_ns} ns, the shortest a reader requests")
-        depth = self._baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
-        qos = WriterQos(depth=depth, deadline_ns=requested_ns if is_clamped else plan.deadline_ns)
-        self._clamp = clamp if is_clamped else NO_REFUSAL
+        depth = self.baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
+        qos = WriterQos(depth=depth, deadline_ns=plan.deadline_ns)
         if qos == self._flow.qos:
             self._refusal = NO_REFUSAL
         elif self._lasting_refusal.words:
@@ -229,18 +207,17 @@ class AdaptivePublisher:
             self._thread.release(self._flow.lane)
 
     def state(self) -> PublisherState:
-        """Return the settings in force, for the daemon, and warn of readers that they refuse: about once a second."""
-        refusal = self._refusal if self._refusal.words else self._clamp
+        """Return the settings in force for the daemon, about once a second, and warn of readers that refuse them."""
         self._warn_of_refusals()
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
-            topic=self._resolved,
+            topic=self.topic_name,
             type_name=type_name_of(self.msg_type),
             direction=Direction.LOCAL,
-            baseline_depth=self._baseline.depth,
-            baseline_deadline_ns=self._baseline.deadline_ns,
-            refusal=refusal.words,
-            refusal_reason=refusal.reason,
+            baseline_depth=self.baseline.depth,
+            baseline_deadline_ns=self.baseline.deadline_ns,
+            refusal=self._refusal.words,
+            refusal_reason=self._refusal.reason,
             keeps_all=self._keeps_all,
             **self._flow.state().counted(),
         )
@@ -251,7 +228,7 @@ class AdaptivePublisher:
         if not has_callback and (refusals := self._writer.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
-                f"{self._resolved}: a subscription requests incompatible QoS and receives nothing; "
+                f"{self.topic_name}: a subscription requests incompatible QoS and receives nothing; "
                 f"last incompatible policy: {self._writer.refused_policy}"
             )
 

@@ -78,7 +78,6 @@ class WriterSwap(Generic[W]):
     ----------
     begun : swaps so far; each has one result, and perhaps ``undelivered`` beside it, or is under way
     last : the swap that finished last, None before the first
-    needs_proof : whether a new writer must prove that its readers receive; not when it can serve late ones itself
     loss_ratio : share of packets that the link loses, None while unknown; the owner keeps it up to date
     """
 
@@ -115,7 +114,6 @@ class WriterSwap(Generic[W]):
         self.last: SwapRecord | None = None
         self._seconds: defaultdict[str, float] = defaultdict(float)  # in each state of the swap under way
         self._entered_s = -math.inf
-        self.needs_proof = True
         self.loss_ratio: float | None = None
         self.state = SwapState.IDLE
 
@@ -279,7 +277,7 @@ class WriterSwap(Generic[W]):
             elif self.state is SwapState.HOLDING and elapsed_s >= self._timing.hold_s:
                 self._watch_s = math.inf
                 self._enter(SwapState.WATCHING, now_s)
-        elif self._is_proven or not self.needs_proof or self._next.matched() == 0:
+        elif self._is_proven or self._next.matched() == 0:
             self._take_over(now_s)
         else:
             self._trial = 0

@@ -28,11 +28,9 @@ _SHUN = 20.0  # times the duration of the write, so that writes block a caller f
 
 
 class Turn(Protocol):
-    """Who wants to be called now and then."""
+    """Who wants to be called now and then, for a topic."""
 
-    @property
-    def topic_name(self) -> str:
-        """Topic that it serves."""
+    topic_name: str
 
     def service(self, now_s: float) -> float:
         """Do what is due; return when to call again, ``inf`` = not before `WritingThread.wake` (s)."""

@@ -39,7 +39,6 @@ class RefusalReason(StrEnum):
     NONE = "none"
     MIDDLEWARE = "middleware"  # nobody has measured QoS swaps on it
     TRANSIENT_LOCAL = "transient_local"  # a new endpoint would miss or repeat what late joiners need
-    CLAMPED = "clamped"  # a reader requests a shorter deadline, which is offered instead
     UNMATCHED = "unmatched"
     INCOMPATIBLE = "incompatible"
     FAILED = "failed"

@@ -13,6 +13,7 @@ from rclpy.qos import QoSProfile
 
 from arpd.report.diagnostics import diagnose
 from arpd.report.wording import one_line
+from arpd.ros.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,18 +52,15 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1))
         self._published_s = -math.inf
         self._told = 0
-        self._is_failing = False
+        self._logged = OncePerMinute()
 
     def look(self) -> None:
         """Publish if it is time; call it after every tick, also one that failed."""
         try:
             self._publish_if_due()
         except Exception:
-            if not self._is_failing:
+            if self._logged.take(DIAGNOSTICS_TOPIC, self._clock()):
                 log.exception("nothing is published on %s; the daemon goes on", DIAGNOSTICS_TOPIC)
-            self._is_failing = True
-        else:
-            self._is_failing = False
 
     def _publish_if_due(self) -> None:
         now_s, snapshot = self._clock(), self._snapshot()

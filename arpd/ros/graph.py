@@ -153,10 +153,6 @@ class Requests:
         self._node = node
         self.topic = topic
 
-    def tightest_ns(self) -> int:
-        """Return the shortest deadline, 0 = none is requested (ns)."""
-        return min((reader.deadline_ns for reader in self._all() if reader.deadline_ns), default=0)
-
     def are_reliable(self) -> bool:
         """Return whether all readers are reliable."""
         return all(reader.is_reliable for reader in self._all())

@@ -18,7 +18,7 @@ from arpd.ros.rcl import no_publisher_events
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from arpd.model.plan import PlanAnswer, QosPlan
+    from arpd.model.plan import PlanAnswer, QosPlan, TopicPlan
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ class PlanSender:
     def __init__(self, node: Any) -> None:
         self._ros = node
         self._writer: Any = None
-        self._sent: tuple[QosPlan, float] | None = None  # with its lease
+        self._sent: tuple[int, Mapping[str, TopicPlan], float] | None = None  # generation, rows and lease
         self._sent_s = -math.inf
         self._again_s = _AGAIN_S
         self._awaited: set[str] = set()  # nodes that owe an answer
@@ -72,18 +72,15 @@ class PlanSender:
         self._read(answers)
         if not missing:
             return
-        is_new = self._sent is None or (plan.generation, plan.topics, lease_s) != (
-            self._sent[0].generation,
-            self._sent[0].topics,
-            self._sent[1],
-        )
+        wanted = plan.generation, plan.topics, lease_s
+        is_new = wanted != self._sent
         if now_s - self._sent_s < (_LEAST_S if is_new else self._again_s):
             return
         if not is_new and (silent := sorted(self._awaited)):
             self._results["timeout"] += len(silent)
             log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
-        self._sent, self._sent_s, self._awaited = (plan, lease_s), now_s, set(missing)
+        self._sent, self._sent_s, self._awaited = wanted, now_s, set(missing)
         if self._writer is None:
             self._writer = self._ros.create_publisher(
                 UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=no_publisher_events()
@@ -101,7 +98,7 @@ class PlanSender:
     def _read(self, answers: Mapping[str, PlanAnswer]) -> None:
         if self._sent is None:
             return
-        generation = self._sent[0].generation
+        generation = self._sent[0]
         for node in tuple(self._awaited):
             answer = answers.get(node, NO_PLAN)
             if answer.refusal and answer.refused == generation:

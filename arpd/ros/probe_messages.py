@@ -29,7 +29,7 @@ _MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
 MOST_REPORT_BYTES = 1024  # of a serialized report
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class ProbeHeader:
     """Place of one probe packet in its train; a ping is a train of one.
 
@@ -59,7 +59,7 @@ def decode_probe(data: bytes) -> ProbeHeader:
     _, quiet, index, packets, train = _PROBE.unpack_from(data)
     if not index < packets <= _MOST_PACKETS:
         raise ValueError(f"probe {index} of a train of {packets}; at most {_MOST_PACKETS} are allowed")
-    return ProbeHeader(train=train, index=index, packets=packets, quiet_s=quiet / 100)
+    return ProbeHeader(train, index, packets, quiet / 100)
 
 
 def encode_report(report: PeerReport) -> Any:
@@ -78,12 +78,9 @@ def encode_report(report: PeerReport) -> Any:
         report.last_probe & 0xFFFFFFFF,
         (report.probe_packets or 0) & 0xFFFFFFFF,
     )
-    body = b"".join(_DELAY.pack(delay) for delay in delays)
-    body += b"".join(
-        _TRAIN.pack(min(train.payload_bytes, 2**32 - 1), train.duration_s, train.sent_s, min(train.packets, 65535))
-        for train in trains
-    )
-    return UInt8MultiArray(data=array("B", head + name + body))
+    packed = [_DELAY.pack(delay) for delay in delays]
+    packed += [_TRAIN.pack(each.payload_bytes, each.duration_s, each.sent_s, each.packets) for each in trains]
+    return UInt8MultiArray(data=array("B", b"".join([head, name, *packed])))
 
 
 def decode_report(data: bytes) -> PeerReport:
@@ -94,10 +91,8 @@ def decode_report(data: bytes) -> PeerReport:
     ValueError
         If it is malformed, or its values are impossible.
     """
-    if not data or data[0] != _REPORT_VERSION:
+    if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
         raise ValueError("not a peer report of this version")
-    if len(data) < _REPORT.size:
-        raise ValueError("peer report of the wrong length")
     _, delay_count, train_count, name_size, interval_s, *counts = _REPORT.unpack_from(data)
     rx_bytes, rx_packets, last_probe, probe_packets = counts
     delays_at = _REPORT.size + name_size

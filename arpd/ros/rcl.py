@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, UnsupportedEventTypeError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or endpoint raises
 
@@ -18,35 +15,25 @@ InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or e
 class Allocator(ctypes.Structure):
     """rcutils_allocator_t."""
 
-    _fields_ = (
-        ("allocate", ctypes.c_void_p),
-        ("deallocate", ctypes.c_void_p),
-        ("reallocate", ctypes.c_void_p),
-        ("zero_allocate", ctypes.c_void_p),
-        ("state", ctypes.c_void_p),
+    _fields_ = tuple(
+        (name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")
     )
+
+
+_REST_OF_ARRAY = (("length", ctypes.c_size_t), ("capacity", ctypes.c_size_t), ("allocator", Allocator))
 
 
 class SerializedMessage(ctypes.Structure):
     """rcutils_uint8_array_t of ROS 2 Jazzy."""
 
-    _fields_ = (
-        ("buffer", ctypes.c_void_p),
-        ("length", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-        ("allocator", Allocator),
-    )
+    _fields_ = (("buffer", ctypes.c_void_p), *_REST_OF_ARRAY)
 
 
 class _Outgoing(ctypes.Structure):
     """rcutils_uint8_array_t over bytes of Python, which it keeps alive; nobody may write to them."""
 
-    _fields_ = (
-        ("buffer", ctypes.c_char_p),  # takes bytes as they are; ctypes.cast would cost as much as the rest of a publish
-        ("length", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-        ("allocator", Allocator),
-    )
+    # It takes bytes as they are; ctypes.cast would cost as much as the rest of a publish.
+    _fields_ = (("buffer", ctypes.c_char_p), *_REST_OF_ARRAY)
 
 
 class MessageInfo(ctypes.Structure):
@@ -80,31 +67,26 @@ class Rcl:
 
     def __init__(self) -> None:
         rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")  # loaded by rclpy already
-        self.take = rcl.rcl_take_serialized_message
-        self.take.argtypes = [ctypes.c_void_p] * 4
-        self.notify_reader = rcl.rcl_subscription_set_on_new_message_callback
-        self.notify_server = rcl.rcl_service_set_on_new_request_callback
-        self.notify_client = rcl.rcl_client_set_on_new_response_callback
-        for notify in (self.notify_reader, self.notify_server, self.notify_client):
-            notify.argtypes = [ctypes.c_void_p] * 3
+
+        def function(library: Any, name: str, *, takes: int = 0, returns: Any = ctypes.c_int) -> Any:
+            found = library[name]
+            found.argtypes, found.restype = [ctypes.c_void_p] * takes, returns
+            return found
+
+        self.take = function(rcl, "rcl_take_serialized_message", takes=4)
+        self.publish = function(rcl, "rcl_publish_serialized_message", takes=3)
+        self.notify_reader = function(rcl, "rcl_subscription_set_on_new_message_callback", takes=3)
+        self.notify_server = function(rcl, "rcl_service_set_on_new_request_callback", takes=3)
+        self.notify_client = function(rcl, "rcl_client_set_on_new_response_callback", takes=3)
         self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
-        self._publish = rcl.rcl_publish_serialized_message
-        self._publish.argtypes = [ctypes.c_void_p] * 3
-        self._graph_guard = rcl.rcl_node_get_graph_guard_condition
-        self._graph_guard.argtypes, self._graph_guard.restype = [ctypes.c_void_p], ctypes.c_void_p
-        self._add_guard = rcl.rcl_wait_set_add_guard_condition
-        self._add_guard.argtypes = [ctypes.c_void_p] * 3
-        self._rmw_publisher = rcl.rcl_publisher_get_rmw_handle
-        self._rmw_publisher.argtypes, self._rmw_publisher.restype = [ctypes.c_void_p], ctypes.c_void_p
-        self._gid = rcl.rmw_get_gid_for_publisher
-        self._gid.argtypes = [ctypes.c_void_p] * 2
-        self.forget_error = rcutils.rcutils_reset_error
-        self._error = rcutils.rcutils_get_error_string
-        self._error.restype = _ErrorString
-        self._init = rcutils.rcutils_uint8_array_init
-        self._init.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
-        self._allocator = rcutils.rcutils_get_default_allocator
-        self._allocator.restype = Allocator
+        self._graph_guard = function(rcl, "rcl_node_get_graph_guard_condition", takes=1, returns=ctypes.c_void_p)
+        self._add_guard = function(rcl, "rcl_wait_set_add_guard_condition", takes=3)
+        self._rmw_publisher = function(rcl, "rcl_publisher_get_rmw_handle", takes=1, returns=ctypes.c_void_p)
+        self._gid = function(rcl, "rmw_get_gid_for_publisher", takes=2)
+        self.forget_error = function(rcutils, "rcutils_reset_error", returns=None)
+        self._error = function(rcutils, "rcutils_get_error_string", returns=_ErrorString)
+        self._init = function(rcutils, "rcutils_uint8_array_init", takes=3)  # a size_t is as wide as a pointer
+        self._allocator = function(rcutils, "rcutils_get_default_allocator", returns=Allocator)
 
     def buffer(self) -> SerializedMessage:
         """Return an empty buffer, which rcl enlarges as needed."""
@@ -115,7 +97,7 @@ class Rcl:
 
     def outlet(self, handle: Any) -> Outlet:
         """Return what publishes serialized samples through a publisher's handle."""
-        return Outlet(handle, self._publish, self.error)
+        return Outlet(self, handle)
 
     def add_graph_guard(self, node: int, wait_set: int) -> None:
         """Let a wait set wait for changes of the graph that a node sees; both are pointers."""
@@ -140,21 +122,12 @@ class Outlet:
     """Publishes serialized samples through one publisher's handle, one at a time.
 
     It keeps what a call needs: a structure per call would cost half as much as the rest of it.
-
-    Parameters
-    ----------
-    handle : of the publisher
-    publish : ``rcl_publish_serialized_message``
-    error : returns the words of its error
     """
 
-    __slots__ = ("_error", "_handle", "_message", "_pointer", "_publish", "_reference")
+    __slots__ = ("_handle", "_message", "_pointer", "_rcl", "_reference")
 
-    def __init__(self, handle: Any, publish: Callable[..., int], error: Callable[[], str]) -> None:
-        self._handle = handle
-        self._pointer = handle.pointer
-        self._publish = publish
-        self._error = error
+    def __init__(self, functions: Rcl, handle: Any) -> None:
+        self._rcl, self._handle, self._pointer = functions, handle, handle.pointer
         self._message = _Outgoing()
         self._reference = ctypes.byref(self._message)
 
@@ -170,10 +143,10 @@ class Outlet:
         message.buffer = sample
         message.length = message.capacity = len(sample)
         with self._handle:
-            fault = self._publish(self._pointer, self._reference, None)
+            fault = self._rcl.publish(self._pointer, self._reference, None)
         message.buffer = None  # a sample may be large
         if fault:
-            raise RuntimeError(f"publishing failed: {self._error()}")
+            raise RuntimeError(f"publishing failed: {self._rcl.error()}")
 
 
 @cache

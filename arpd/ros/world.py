@@ -109,9 +109,9 @@ class RosControl:
         self._endpoints_until_s = -math.inf
         self._probes = 0
         self._probe_bytes = 0
-        best_effort = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        many = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        newest, best_effort, many = (
+            QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT) for depth in (1, 100, 1000)
+        )
         self._price_publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, newest)
         self._probe_publisher = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, best_effort)
         self.thread = ReadingThread.of(node.context)
@@ -191,13 +191,9 @@ class RosControl:
 
     def probe(self, request: ProbeRequest) -> None:
         """Send one train, or a ping, back to back."""
-        head = ProbeHeader(
-            train=self._reports.number(request.number), index=0, packets=request.packets, quiet_s=request.quiet_s
-        )
-        packets = [
-            encode_probe(replace(head, index=index), payload_bytes=request.packet_bytes)
-            for index in range(request.packets)
-        ]
+        head = ProbeHeader(self._reports.number(request.number), 0, request.packets, request.quiet_s)
+        size = request.packet_bytes
+        packets = [encode_probe(replace(head, index=k), payload_bytes=size) for k in range(head.packets)]
         for packet in packets:
             self._probe_publisher.publish(packet)
         self._probes += 1

@@ -5,50 +5,43 @@ from contextlib import ExitStack
 
 import pytest
 
-from tests.ros.domain import DOMAIN
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-
-class Ros:
-    """Nodes of one test, each with its own executor."""
-
-    def __init__(self, context, stack):
-        self.context = context
-        self._stack = stack
-
-    def node(self, name, executor=None, **options):
-        from rclpy.executors import SingleThreadedExecutor
-
-        from scripts.bench.child import spinning
-
-        node = rclpy.create_node(name, context=self.context, **options)
-        chosen = executor or SingleThreadedExecutor(context=self.context)
-        chosen.add_node(node)
-        self._stack.callback(node.destroy_node)
-        self._stack.enter_context(spinning(chosen))
-        return node
-
-    def elsewhere(self, domain=DOMAIN):
-        """Return a maker of nodes in a participant of its own, as another process has."""
-        context = rclpy.Context()
-        rclpy.init(context=context, domain_id=domain)
-        self._stack.callback(rclpy.try_shutdown, context=context)
-        return Ros(context, self._stack)
+from tests.ros.world import Ros, start_arpd
 
 
 @pytest.fixture
-def ros(monkeypatch):
+def environment(monkeypatch):
+    """Keep this process, and those that it starts, on this host."""
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     from arpd.ros.runtime import prepare_environment
 
     prepare_environment()
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
+
+
+@pytest.fixture
+def stack():
     with ExitStack() as stack:
-        yield Ros(context, stack)
-    rclpy.try_shutdown(context=context)
+        yield stack
+
+
+@pytest.fixture
+def ros(environment, stack):
+    return Ros(stack)
+
+
+@pytest.fixture
+def arpd(environment, stack, tmp_path):
+    """Start a command of arpd, which is killed with the test; its log is a file ``log``."""
+
+    def start(*arguments, **environment):
+        process = start_arpd(*arguments, log=tmp_path / "log", **environment)
+        stack.callback(process.communicate)
+        stack.callback(process.kill)
+        return process
+
+    return start
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -58,14 +51,12 @@ def _own_network(network):
 
 @pytest.fixture
 def background():
-    """Run a function in a thread until the test ends."""
-    stopping = threading.Event()
-    threads = []
+    """Run functions in threads until the test ends, before the nodes go that were made before."""
+    stopping, threads = threading.Event(), []
 
     def start(work):
-        thread = threading.Thread(target=work, args=(stopping,), daemon=True)
-        thread.start()
-        threads.append(thread)
+        threads.append(threading.Thread(target=work, args=(stopping,), daemon=True))
+        threads[-1].start()
 
     yield start
     stopping.set()

@@ -16,8 +16,7 @@ from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.envelope import wrap
 from arpd.relay.flight import Sign, encode_sign
 from arpd.ros.graph_view import GraphView
-from tests.ros.conftest import Ros
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN, Ros
 
 REPO = Path(__file__).resolve().parents[2]
 ROBOT, BASE, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
@@ -79,7 +78,7 @@ class TwoEnds:
         return self._side(LINK)
 
     def _side(self, domain):
-        return Ros(None, self.nodes).elsewhere(domain)
+        return Ros(self.nodes, domain)
 
     def _listen(self, end):
         address = f"\0arpd-test-{os.getpid()}-{end}-{len(self.processes)}-{os.urandom(4).hex()}"

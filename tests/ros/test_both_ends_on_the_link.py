@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from scripts.netns.simlink import SimLink, available
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN
 
 HERE = Path(__file__).parent
 ENOUGH = 100

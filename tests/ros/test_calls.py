@@ -36,7 +36,7 @@ from arpd.relay.selection import Side
 from arpd.ros.raw_reader import ReadingThread
 from arpd.ros.runtime import prepare_environment
 from scripts.bench.child import spinning
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN
 
 pytestmark = pytest.mark.ros
 

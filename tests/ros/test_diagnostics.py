@@ -8,12 +8,8 @@ from dataclasses import replace
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from arpd.model.link import LinkState
 from arpd.report.decision_log import DecisionLog
-from arpd.ros.crossing import read_graph
 from arpd.ros.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics
-from arpd.ros.graph_view import GraphView
-from arpd.ros.rmw import current_rmw
 from tests.golden.sample import changed
 
 NAMES = ["arpd: link", "arpd: plan", "arpd: configuration", "arpd: events"]
@@ -76,17 +72,6 @@ def test_a_monitor_sees_every_status(monitor, daemon, eventually):
     assert array.header.stamp.sec > 0
 
 
-def test_an_event_reaches_a_monitor_at_once(monitor, daemon, eventually):
-    """An outage is published when it happens, also when nothing else is due."""
-    daemon.take()
-    events = "arpd: events"
-    eventually("the link is well", lambda: daemon.look() or monitor["arpd: link"].level == DiagnosticStatus.OK)
-    daemon.take(state=LinkState.OUTAGE)
-    daemon.look(after_s=0.0)
-    eventually("it is shown", lambda: any("carries nothing" in event.value for event in monitor[events].values))
-    assert monitor["arpd: link"].level == DiagnosticStatus.ERROR
-
-
 def test_nothing_is_made_without_a_subscriber(ros, daemon, eventually, monkeypatch):
     """Arrays are published only once there is a subscriber."""
     published = []
@@ -104,18 +89,3 @@ def test_a_fault_in_publishing_is_logged_once_and_harms_nobody(daemon, monkeypat
     for _ in range(3):
         daemon.look()
     assert sum("nothing is published on /diagnostics" in record.message for record in caplog.records) == 1
-
-
-def test_the_daemons_diagnostics_are_no_traffic_of_the_robot(ros, monitor, daemon, eventually):
-    """The graph shows the robot's writers of /diagnostics without the daemon's."""
-    assert monitor.arrays
-    view = GraphView.of(daemon.node)
-
-    def seen():
-        view.look()
-        return read_graph(view, current_rmw()).crossings.get(DIAGNOSTICS_TOPIC)
-
-    eventually("the monitor shows", lambda: seen() and view.readers(DIAGNOSTICS_TOPIC))
-    battery = ros.node("battery").create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 1)
-    eventually("the robot's alone shows", lambda: seen().writers == {"/battery"})
-    battery.destroy()

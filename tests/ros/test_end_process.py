@@ -1,7 +1,6 @@
 """The process of one end: its watchdog, its stop, and what it refuses."""
 
 import signal
-from contextlib import ExitStack
 
 import pytest
 from std_msgs.msg import String
@@ -11,9 +10,8 @@ from tests.ros.ends_world import TwoEnds
 
 
 @pytest.fixture
-def ends(ros, tmp_path):
-    with ExitStack() as stack:
-        yield TwoEnds(tmp_path, stack, ["services: [/add]"])
+def ends(ros, stack, tmp_path):
+    return TwoEnds(tmp_path, stack, ["services: [/add]"])
 
 
 def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(

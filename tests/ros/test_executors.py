@@ -1,7 +1,9 @@
 """AdaptivePublisher under every executor and from many threads, during continual swaps."""
 
+import inspect
 import threading
 import time
+from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 
@@ -16,8 +18,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.endpoint.writer_swap import SwapTiming
-from tests.ros.domain import DOMAIN
-from tests.ros.plans import retune
+from tests.ros.world import DOMAIN, Ros, retune
 
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]
 TOPIC = "/busy"
@@ -68,8 +69,7 @@ def swap_all_the_time(publisher):
 
 def test_swaps_under_fire_lose_nothing(ros, talker, background, eventually):
     """Under each executor, continual swaps lose, double and reorder nothing, and leave no thread."""
-    # Of a volatile topic nothing is replayed, whatever the application says of latched ones.
-    publisher = AdaptivePublisher(talker, String, TOPIC, 1000, swap_timing=QUICK, swap_transient_local=True)
+    publisher = AdaptivePublisher(talker, String, TOPIC, 1000, swap_timing=QUICK)
     received = listen(ros, eventually, publisher)
     before = os_threads()
     stopping = threading.Event()
@@ -135,29 +135,21 @@ def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, background, eventu
 
 
 def test_it_stays_in_the_context_of_its_node(ros, eventually):
-    """The publisher of a node in another context and domain is not visible here."""
-    elsewhere = rclpy.Context()
-    rclpy.init(context=elsewhere, domain_id=DOMAIN + 1)
-    try:
-        node = rclpy.create_node("elsewhere", context=elsewhere)
+    """The publisher of a node in another context and domain is not visible here, and its thread ends with that."""
+    with ExitStack() as stack:
+        node = Ros(stack, DOMAIN + 1).idle_node("elsewhere")
         publisher = AdaptivePublisher(node, String, TOPIC, 10)
-        ros.node("here").create_subscription(String, TOPIC, lambda _message: None, 10)
-        same = node.create_subscription(String, TOPIC, lambda _message: None, 10)
+        for each in (ros.node("here"), node):
+            each.create_subscription(String, TOPIC, lambda _message: None, 10)
         eventually("the reader there matches alone", lambda: publisher.get_subscription_count() == 1)
         retune(publisher, depth=30)
         eventually("the writer is swapped", lambda: publisher.state().depth == 30)
-        assert same.topic_name == publisher.topic_name
         thread = publisher._thread._thread
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown(context=elsewhere)
     eventually("its thread ends", lambda: not thread.is_alive())
 
 
 def test_the_signature_is_that_of_create_publisher(ros):
     """An AdaptivePublisher takes the arguments of `Node.create_publisher` in order, except publisher_class."""
-    import inspect
-
     theirs = inspect.signature(rclpy.node.Node.create_publisher).parameters
     ours = inspect.signature(AdaptivePublisher.__init__).parameters
     positional = [name for name, p in theirs.items() if p.kind is p.POSITIONAL_OR_KEYWORD]

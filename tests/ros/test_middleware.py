@@ -1,8 +1,6 @@
 """The graph and publishers on this middleware, and on one whose swaps were never measured; only its name is fake."""
 
-import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -13,9 +11,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.ros import graph_view
 from arpd.ros.crossing import read_graph
-from arpd.ros.graph import writers_of
 from arpd.ros.graph_view import GraphView
 from arpd.ros.rmw import Rmw, current_rmw
 
@@ -67,33 +63,3 @@ def test_a_name_that_is_no_text_hides_no_other(ros, eventually, monkeypatch):
     ros.node("talker")
     eventually("the change is noticed", lambda: view.look() > 0)
     assert view.types == before
-
-
-def test_a_graph_that_takes_long_is_read_once_and_then_rests(ros, eventually, monkeypatch):
-    """What took 0.2 s to read is forgotten two seconds later at the earliest, and only if the graph has changed."""
-    clock, read = SimpleNamespace(now_s=0.0), []
-
-    def slowly(node, topic):
-        clock.now_s += 0.2
-        read.append(topic)
-        return writers_of(node, topic)
-
-    monkeypatch.setattr(graph_view, "writers_of", slowly)
-    node = ros.node("arpd")
-    view = GraphView(node, clock=lambda: clock.now_s)
-    assert view.writers("/x") == view.writers("/x") == ()
-    node.create_publisher(String, "/x", 1)
-    for now_s in (0.2, 1.9):
-        clock.now_s = now_s
-        assert view.look() == 0
-        assert view.writers("/x") == ()
-    assert read == ["/x"]
-    clock.now_s = 2.0
-    assert eventually("the change is noticed", view.look) == 1
-    assert [writer.node for writer in view.writers("/x")] == ["/arpd"]
-    clock.now_s = 100.0
-    eventually("nothing changes any more", lambda: view.look() == (time.sleep(0.3), view.look())[1])
-    view.writers("/x")
-    so_far = len(read)
-    assert [(view.look(), view.writers("/x")) for _ in range(50)]
-    assert len(read) == so_far

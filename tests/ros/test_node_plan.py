@@ -6,9 +6,7 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher
 from arpd.endpoint import node_publishers
 from arpd.model.plan import PlanAnswer, TopicPlan
-from tests.ros.announced import Announced
-from tests.ros.plans import Plans
-from tests.ros.price import TERMS
+from tests.ros.world import TERMS, Announced, Plans
 
 A, B = "/a", "/b"
 ROW = TopicPlan(rate_hz=50.0, min_rate_hz=1.0, deadline_ns=10**8, depth=40, **TERMS)

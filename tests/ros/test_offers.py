@@ -1,6 +1,5 @@
 """Who writes the samples of an AdaptivePublisher, and when: the application's thread or the participant's."""
 
-import math
 import threading
 import time
 
@@ -9,9 +8,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.model.endpoints import Overflow
-from tests.ros.clock import SkippingClock
-from tests.ros.plans import retune
-from tests.ros.price import FREE, TERMS, costing
+from tests.ros.world import FREE, TERMS, SkippingClock, costing, retune
 from tests.waiting import PATIENCE_S
 
 LONG_S = 10.0  # a write of this length is remembered for 200 s
@@ -87,9 +84,8 @@ def test_publish_waits_for_the_write_before_it_as_rclpy_does(make, monkeypatch, 
     assert all([sample[1] for sample in writer.written if sample[0] == thread] == [*range(10)] for thread in b"abc")
 
 
-@pytest.mark.parametrize("loosen", ["rate", "price"])
-def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually, loosen):
-    """Every queued sample leaves in time, and soon when the rate is raised or the price falls."""
+def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually):
+    """Every queued sample leaves in time, and soon when the price falls."""
     publisher = make()
     writer = Writer(publisher, monkeypatch)
     samples = [b"%d" % number for number in range(20)]
@@ -97,15 +93,9 @@ def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually,
     for sample in samples:
         publisher.pass_on(sample)
     eventually("all samples leave in order", lambda: writer.written == samples)
-    if loosen == "rate":
-        retune(publisher, rate_hz=0.001)
-    else:
-        publisher.set_price(costing(0.001))
+    publisher.set_price(costing(0.001))
     for sample in samples:
         publisher.pass_on(sample)
     assert publisher.state().queued > 0
-    if loosen == "rate":
-        retune(publisher, rate_hz=math.inf)
-    else:
-        publisher.set_price(FREE)
+    publisher.set_price(FREE)
     eventually("all samples leave again", lambda: writer.written == 2 * samples)

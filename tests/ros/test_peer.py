@@ -1,8 +1,5 @@
 """The peer with real rclpy: what a daemon on the other side hears from it."""
 
-import os
-import subprocess
-import sys
 import time
 from itertools import count
 
@@ -10,8 +7,7 @@ import pytest
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.host.interface import InterfaceReader, index_of
-from arpd.model.interface import InterfaceState
+from arpd.host.interface import InterfaceReader
 from arpd.model.probing import ProbeRequest
 from arpd.model.settings import GraphSettings
 from arpd.model.wire import probe_wire_bytes
@@ -19,8 +15,7 @@ from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.world import RosControl
-from tests.ros.domain import DOMAIN
-from tests.ros.price import FREE
+from tests.ros.world import DOMAIN, FREE
 
 SIZE = 1200
 BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -121,32 +116,11 @@ def test_the_daemon_knows_the_peers_clock(daemon, eventually):
     assert abs(found.offset_s) <= found.uncertainty_s
 
 
-def test_the_daemon_sees_interface_and_radio(ros, eventually, monkeypatch):
-    """An observation has the interface's counters and state, and the last bit rate of its radio."""
-    asked = []
-
-    class Radio:
-        def read(self, interface, index):
-            asked.append((interface, index))
-            return 8_125_000.0
-
-    monkeypatch.setattr("arpd.ros.world.Radio", Radio)
-    daemon = Daemon(ros.node("arpd"))
-    first = daemon.observe()
-    assert (first.counters.interface, first.counters.state) == ("lo", InterfaceState.UP)
-    eventually("the radio is read", lambda: daemon.observe().radio_bytes_per_second == 8_125_000.0)
-    eventually("it is found by its index", lambda: daemon.observe() and asked[-1] == ("lo", index_of("lo")))
-
-
-def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, eventually, tmp_path):
+def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, arpd, eventually, tmp_path):
     """The peer joins `relay.link_domain`, and not the domain of its environment."""
-    config = tmp_path / "arpd.yaml"
+    config, node = tmp_path / "arpd.yaml", ros.node("daemon")
     config.write_text(f"relay: {{link_domain: {DOMAIN}, robot: 127.0.0.1}}")
-    node = ros.node("daemon")
-    command = [sys.executable, "-m", "arpd.cli", "peer", "--interface", "lo", "--config", str(config)]
-    with subprocess.Popen(command, env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN + 1)}) as peer:
-        try:
-            eventually("the peer is in the link's domain", lambda: "arpd_peer" in node.get_node_names())
-        finally:
-            peer.terminate()
-        assert peer.wait(timeout=60.0) == 0
+    peer = arpd("peer", "--interface", "lo", "--config", config, ROS_DOMAIN_ID=str(DOMAIN + 1))
+    eventually("the peer is in the link's domain", lambda: "arpd_peer" in node.get_node_names())
+    peer.terminate()
+    assert peer.wait(timeout=60.0) == 0

@@ -2,7 +2,6 @@
 
 import os
 import threading
-import time
 
 import pytest
 from rclpy.qos import QoSProfile
@@ -107,38 +106,3 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(connect, th
     publisher.publish(String(data="three"))
     eventually("the third sample arrives", lambda: taken[-1].data.endswith(b"three\0"))
     assert len({sample.sequence for sample in taken}) == len(taken)
-
-
-class Gate(ReadingThread):
-    """A thread that stands still while a test says so."""
-
-    def __init__(self):
-        self.opened = threading.Event()
-        self.opened.set()
-        super().__init__(step=self._wait)
-
-    def _wait(self):
-        self.opened.wait()
-        return time.monotonic() + 0.01
-
-
-@pytest.fixture
-def gate():
-    gate = Gate()
-    yield gate
-    gate.opened.set()
-    gate.stop()
-
-
-def test_a_flood_of_one_topic_delays_no_other(gate, connect, eventually):
-    """What waits on one topic is read in turns with the others."""
-    order = []
-    talkers = [connect(order.append, topic, by=gate)[1] for topic in ("/flood", "/calm")]
-    gate.opened.clear()
-    for _ in range(500):
-        talkers[0].publish(String(data="flood"))
-    talkers[1].publish(String(data="calm"))
-    time.sleep(0.1)
-    gate.opened.set()
-    eventually("all arrive", lambda: len(order) == 501)
-    assert [b"calm" in sample.data for sample in order].index(True) <= 64

@@ -5,10 +5,8 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
-from contextlib import ExitStack, closing
+from contextlib import closing
 from types import SimpleNamespace
 
 import pytest
@@ -18,7 +16,7 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher
 from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.prefix import Participants, Prefixed
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN
 from tests.waiting import PATIENCE_S
 
 TOPICS = tuple(f"/t{k}" for k in range(110))
@@ -35,25 +33,12 @@ def notices():
 
 
 @pytest.fixture
-def relay(ros, notices, tmp_path):
+def relay(arpd, notices, tmp_path):
     """Start a relay of all topics."""
     config = tmp_path / "arpd.yaml"
     config.write_text(json.dumps({"relay": {"topics": [{"name": topic} for topic in TOPICS]}}))
-    environment = {
-        "ROS_DOMAIN_ID": str(DOMAIN),
-        "NOTIFY_SOCKET": "@" + notices.getsockname()[1:].decode(),
-        "WATCHDOG_USEC": "20000000",
-    }
-    with (
-        (tmp_path / "log").open("w") as log,
-        subprocess.Popen(
-            [sys.executable, "-m", "arpd.cli", "relay", "--config", str(config), "--node-name", "big_relay"],
-            env={**os.environ, **environment},
-            stderr=log,
-        ) as process,
-    ):
-        yield process
-        process.kill()
+    environment = {"NOTIFY_SOCKET": "@" + notices.getsockname()[1:].decode(), "WATCHDOG_USEC": "20000000"}
+    return arpd("relay", "--config", config, "--node-name", "big_relay", **environment)
 
 
 def until(notices, text):
@@ -101,12 +86,6 @@ def test_shards_carry_all_topics_as_one_relay(ros, relay, notices, tmp_path, eve
     assert relay.wait(60) == 0
     log = (tmp_path / "log").read_text()
     assert not re.search("Traceback|Error|failed", log), log
-
-
-@pytest.fixture
-def stack():
-    with ExitStack() as stack:
-        yield stack
 
 
 def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatch, eventually):

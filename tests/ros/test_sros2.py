@@ -7,25 +7,20 @@ and cannot test the enforcement.
 import json
 import subprocess
 import sys
+from contextlib import ExitStack
 from fnmatch import fnmatchcase
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.ros.runtime import prepare_environment
-from scripts.bench.child import spinning
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN, REPO, Ros
 from tests.waiting import eventually
 
-REPO = Path(__file__).resolve().parents[2]
 POLICY = REPO / "etc/sros2/arpd.policy.xml"
-MANAGED = REPO / "etc/sros2/managed.xml"
-NODE = REPO / "etc/sros2/node.xml"
 XI = "{http://www.w3.org/2001/XInclude}"
 PROCESSES = {"arpd": "/arpd/run", "arpd_relay_robot": "/arpd/relay", "arpd_peer": "/arpd/peer"}  # node → enclave
 TOPIC = "/sros2/scan"
@@ -92,52 +87,40 @@ def beyond(endpoints, permissions):
     return {endpoint for endpoint in endpoints if not any(is_used(rule, {endpoint}) for rule in permissions)}
 
 
+# On this one host a node in another process counts as across the link.
+DAEMON = """
+import sys
+from arpd.ros.rmw import Rmw
+Rmw.tells_hosts = False
+from arpd.cli.main import main
+main(["run", "--config", sys.argv[1]])
+"""
+
+
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
     """Run daemon, relay, peer and a driver with an AdaptivePublisher; return what each opened once it has a plan."""
-    workdir = tmp_path_factory.mktemp("sros2")
-    config = workdir / "arpd.yaml"
-    config.write_text(
-        json.dumps(
-            {
-                "link": {"interface": "lo", "capacity": "10gbit"},
-                "http": {"port": 0},
-                "relay": {"topics": [{"name": TOPIC}]},
-            }
-        )
-    )
-    with pytest.MonkeyPatch.context() as patch:
+    config = tmp_path_factory.mktemp("sros2") / "arpd.yaml"
+    link = {"interface": "lo", "capacity": "10gbit"}
+    config.write_text(json.dumps({"link": link, "http": {"port": 0}, "relay": {"topics": [{"name": TOPIC}]}}))
+    argvs = [
+        ["-c", DAEMON, config],
+        ["-m", "arpd.cli", "relay", "--config", config, "--node-name", "arpd_relay_robot"],
+        ["-m", "arpd.cli", "peer", "--interface", "lo"],
+    ]
+    with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         patch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-        patch.setenv("PYTHONPATH", str(REPO))
         prepare_environment()
-        # On this one host the chaos tests' daemon treats another process as across the link.
-        argvs = [
-            [str(REPO / "tests/all/chaos/nodes.py"), "daemon", str(config)],
-            ["-m", "arpd.cli", "relay", "--config", str(config), "--node-name", "arpd_relay_robot"],
-            ["-m", "arpd.cli", "peer", "--interface", "lo"],
-        ]
-        processes = [
-            subprocess.Popen([sys.executable, *argv], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=REPO)
-            for argv in argvs
-        ]
-        context = rclpy.Context()
-        rclpy.init(context=context, domain_id=DOMAIN)
-        node = rclpy.create_node("driver", context=context)
+        for argv in argvs:
+            process = subprocess.Popen([sys.executable, *argv], stderr=subprocess.DEVNULL, cwd=REPO)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+        node = Ros(stack).node("driver")
         publisher = AdaptivePublisher(node, String, TOPIC, 10)
         node.create_timer(0.05, lambda: publisher.publish(String(data="x")))
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        try:
-            with spinning(executor):
-                yield wait_for_plan(node)
-        finally:
-            for process in processes:
-                process.kill()
-                process.communicate()
-            node.destroy_node()
-            rclpy.try_shutdown(context=context)
+        yield wait_for_plan(node)
 
 
 def wait_for_plan(node):
@@ -172,10 +155,3 @@ def test_an_enclave_allows_exactly_what_its_process_opens(graph, name):
     """Permissions and open endpoints of each process are the same, except for the relay's sources."""
     carried = {("subscribe", TOPIC)} if name.startswith("arpd_relay") else set()
     assert beyond(graph[name], allowed(name)) == carried
-
-
-def test_a_managed_node_needs_no_more_than_the_file_for_it(graph):
-    """A node with an AdaptivePublisher opens its own topics and those in managed.xml."""
-    profile = ET.Element("profile", ns="/", node="driver")
-    profile.extend([*included(NODE), *included(MANAGED)])
-    assert beyond(graph["driver"], rules(profile)) == {("publish", TOPIC)}

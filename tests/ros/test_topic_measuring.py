@@ -1,39 +1,25 @@
 """`arpd topics` on a live graph: what it lists, measures, and does not bring over the link for it."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.model.names import is_internal
-from tests.ros.domain import DOMAIN
 
-REPO = Path(__file__).resolve().parents[2]
 BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def arpd(*arguments, **environment):
-    """Run the command in this test's domain."""
-    done = subprocess.run(
-        [sys.executable, "-m", "arpd.cli", *arguments],
-        cwd=REPO,
-        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_the_command_lists_and_suggests_what_check_accepts(ros, tmp_path):
+def test_the_command_lists_and_suggests_what_check_accepts(ros, arpd, tmp_path):
     """A user's three commands: look at topics of all kinds, write a first file, check it."""
+
+    def output(*arguments, **environment):
+        process = arpd(*arguments, **environment)
+        said, _ = process.communicate(timeout=120)
+        assert process.returncode == 0, (tmp_path / "log").read_text()
+        return said
+
     talker, driver = ros.node("talker"), ros.node("driver", namespace="/arm")
     fast = talker.create_publisher(String, "/fast", 10)
     talker.create_timer(0.02, lambda: fast.publish(String(data="x" * 99)))
@@ -42,7 +28,7 @@ def test_the_command_lists_and_suggests_what_check_accepts(ros, tmp_path):
     talker.create_publisher(String, "/map", LATCHED).publish(String(data="x" * 999))
     talker.create_subscription(String, "/cmd", lambda _sample: None, 10)
 
-    found = {topic["name"]: topic for topic in json.loads(arpd("topics", "--seconds", "2", "--json"))["topics"]}
+    found = {topic["name"]: topic for topic in json.loads(output("topics", "--seconds", "2", "--json"))["topics"]}
     assert not [name for name in found if is_internal(name)]
     assert found["/fast"]["traffic"]["mean_bytes"] == 4 + 4 + 100
     assert found["/fast"]["traffic"]["rate_hz"] > 0
@@ -53,7 +39,7 @@ def test_the_command_lists_and_suggests_what_check_accepts(ros, tmp_path):
     assert (found["/cmd"]["traffic"], found["/cmd"]["readers"]) == (None, ["/talker"])
 
     path = tmp_path / "arpd.yaml"
-    path.write_text(arpd("topics", "--seconds", "1", "--suggest", "--robot", "10.9.8.7"))
-    settings = json.loads(arpd("check", str(path), "--json", ROS_DOMAIN_ID="0"))["settings"]
+    path.write_text(output("topics", "--seconds", "1", "--suggest", "--robot", "10.9.8.7"))
+    settings = json.loads(output("check", path, "--json", ROS_DOMAIN_ID="0"))["settings"]
     assert settings["relay.robot"] == "10.9.8.7"
     assert "topics[/fast].weight" in settings

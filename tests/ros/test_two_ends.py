@@ -22,8 +22,7 @@ from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, writer_
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import RELIABLE, ROBOT, Counter, Stranger, TwoEnds, is_whole, latched, listen, numbers
-from tests.ros.plans import Plans
-from tests.ros.price import TERMS
+from tests.ros.world import TERMS, Plans
 from tests.waiting import eventually as insist
 
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)

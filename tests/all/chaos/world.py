@@ -29,8 +29,7 @@ from arpd.ros.graph import deadline_ns_of
 from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment
 from scripts.bench.child import number_of, spinning
 from tests.all.chaos.nodes import DEPTH, TOPICS
-from tests.ros.announced import Announced
-from tests.ros.plans import Plans
+from tests.ros.world import Announced, Plans
 from tests.waiting import PATIENCE_S, eventually
 
 REPO = Path(__file__).resolve().parents[3]

@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-from tests.ros.conftest import _own_network, background, ros  # noqa: F401 - pytest finds them here
+from tests.ros.conftest import _own_network, background, environment, ros, stack  # noqa: F401 - pytest finds them here

@@ -14,7 +14,7 @@ from arpd.govern.progress import progress
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.settings import GraphSettings
 from arpd.ros.world import RosControl
-from tests.ros.domain import DOMAIN
+from tests.ros.world import DOMAIN
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 NODES, TOPICS = 4, 250

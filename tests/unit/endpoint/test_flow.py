@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.lane import SMALL_BYTES
 from arpd.endpoint.queue import PacedQueue
-from arpd.endpoint.writer_swap import SwapTiming
 from arpd.model.endpoints import Overflow, WithheldCause, WriterQos
 from arpd.model.price import Price
 from arpd.model.wire import wire_size
@@ -180,29 +179,6 @@ def possible_causes(world, *, is_broken):
     return {WithheldCause.BLOCKED} | priced | paced | ({WithheldCause.FAILED} if is_broken else set())
 
 
-def test_a_latched_writer_first_gets_what_the_old_one_held():
-    """The last samples of the old writer come first, then new ones, and each counts once."""
-    world = World(depth=3)
-    world.flow.keep_history()
-    for number in range(5):
-        world.publish(name(number))
-    world.writers[0].acknowledges = True
-    world.retune(depth=10)
-    world.wait(2 * SwapTiming().settle_s)
-    world.publish(name(5))
-    assert world.writers[1].written == [name(number) for number in (2, 3, 4, 5)]
-    assert world.flow.state().published == 6
-    world.writers[1].acknowledges = True
-    world.retune(depth=2)
-    world.wait(2 * SwapTiming().settle_s)
-    assert world.writers[2].written == [name(number) for number in (2, 3, 4, 5)]
-    world.publish(name(6))
-    world.retune(depth=4)
-    world.writers[2].acknowledges = True
-    world.wait(2 * SwapTiming().settle_s)
-    assert world.writers[3].written == [name(5), name(6)], "a writer of depth 2 held no more"
-
-
 def run(world, *, rate_hz, seconds):
     """Let an application publish at a rate; return the samples withheld meanwhile, by cause."""
     before = Counter(world.flow.state().withheld_by_cause)
@@ -258,21 +234,6 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
     for first, start in enumerate(departures):
         for last in range(first, len(departures)):
             assert last - first + 1 <= departures[last] - start + 24.0 + 2.5  # 0.3 s at the ceiling
-
-
-def test_the_rate_at_which_samples_leave_is_measured():
-    """The published rate follows the paced rate, and is 0 once the source has stopped."""
-    world = World()
-    world.retune(rate_hz=20.0)
-    run(world, rate_hz=100.0, seconds=4.0)
-    state = world.flow.state()
-    assert state.source_rate_hz == pytest.approx(100.0, rel=0.02)
-    assert state.published_rate_hz == pytest.approx(20.0, rel=0.02)
-    world.retune(rate_hz=50.0)
-    run(world, rate_hz=100.0, seconds=8.0)
-    assert world.flow.state().published_rate_hz == pytest.approx(50.0, rel=0.02)
-    world.wait(2.0)
-    assert world.flow.state().published_rate_hz == 0.0
 
 
 def begin(world, seconds, *, price=None, sample=LARGE):

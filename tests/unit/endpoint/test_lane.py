@@ -61,14 +61,6 @@ def test_the_newest_of_each_source_leaves_in_the_turn_of_the_first(sources):
     assert lane.withheld.total() == len(sources) - len(newest)
 
 
-def test_the_newest_leaves_whatever_its_size():
-    """A large sample that waits is no reason to hold back a newer small one."""
-    lane = make()
-    lane.offer(b"   0" + LARGE, 0.0)
-    lane.offer(b"   1", 0.0)
-    assert leave(lane) == (None, 1)
-
-
 @given(st.integers(2, 4), st.lists(st.one_of(st.none(), st.tuples(st.sampled_from("abc"), st.booleans())), max_size=40))
 def test_an_ordered_topic_keeps_its_order_and_counts_what_it_drops(depth, steps):
     """Its sources leave in the order they came; each sample has left, is among the newest that wait, or is counted."""

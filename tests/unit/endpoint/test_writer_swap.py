@@ -52,25 +52,6 @@ def test_on_a_clean_link_a_swap_settles_soon(loss_ratio, is_reliable, settle_s):
     assert world.results == [SwapResult.OK]
 
 
-def test_a_link_that_is_clean_no_longer_is_given_time():
-    """A loss that shows while readers settle, or while a silent topic waits for proof, gives them the longer time."""
-    world, swap = make()
-    swap.loss_ratio = 0.0
-    swap.request(qos(2))
-    run(swap, 0.0, 0.15)
-    swap.loss_ratio = 0.1
-    run(swap, 0.15, TIMING.settle_s - 0.2)
-    assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
-    swap.loss_ratio = 0.0
-    swap.step(TIMING.settle_s)
-    assert (swap.state, swap.qos) == (SwapState.PROVING, qos(2))
-    swap.loss_ratio = None
-    run(swap, TIMING.settle_s, TIMING.settle_s - 0.05)
-    assert swap.state is SwapState.PROVING
-    run(swap, 2 * TIMING.settle_s, 0.1)
-    assert world.results == [SwapResult.OK]
-
-
 def settled(world, swap, wanted=None):
     """Bring a swap to WATCHING; return the time."""
     acknowledge(world, is_acknowledging=False)
@@ -159,20 +140,6 @@ def test_a_new_writer_that_proves_nothing_is_given_up(depth, doubted_after_s):
     assert world.live == [swap.current] == [world.writers[0]]
 
 
-def test_samples_on_trial_are_not_thrown_away_by_a_newer_request():
-    """The swap waits for their acknowledgement, even when the old QoS is requested again."""
-    world, swap = make()
-    now_s = proving(world, swap)
-    publish(swap, now_s)
-    swap.request(FIRST)
-    now_s = run(swap, now_s, TIMING.hold_s + 1.0)
-    assert len(world.live) == 2
-    acknowledge(world)
-    run(swap, now_s, 1.0)
-    assert world.results == [SwapResult.SUPERSEDED]
-    assert world.live == [swap.current] == [world.writers[0]]
-
-
 def test_a_silent_topic_is_swapped_without_proof():
     """Without samples nothing can be lost, so the swap ends after the settle time."""
     world, swap = make()
@@ -180,16 +147,6 @@ def test_a_silent_topic_is_swapped_without_proof():
     now_s = run(swap, now_s, TIMING.settle_s - 0.02)
     assert not world.results
     run(swap, now_s, 0.03)
-    assert world.results == [SwapResult.OK]
-
-
-def test_without_readers_a_swap_needs_no_acknowledgement():
-    """The swap waits only for the settle time."""
-    world, swap = make()
-    world.readers = swap.current.readers = 0
-    swap.current.acknowledges = False
-    swap.request(qos(2))
-    run(swap, 0.0, TIMING.settle_s + 0.02)
     assert world.results == [SwapResult.OK]
 
 
@@ -206,20 +163,6 @@ def test_requests_that_never_cease_do_not_starve_each_other():
     assert set(world.results) == {SwapResult.OK}
     run(swap, now_s, 5.0, publishing=True)
     assert swap.qos == qos(199)
-
-
-@pytest.mark.parametrize("is_under_way", [False, True])
-def test_a_request_that_changes_nothing_is_no_swap(is_under_way):
-    """A request for the QoS in force, or for the one under way, makes no writer."""
-    world, swap = make()
-    wanted = qos(2) if is_under_way else FIRST
-    if is_under_way:
-        swap.request(wanted)
-        swap.step(0.0)
-    writers = len(world.writers)
-    swap.request(wanted)
-    swap.step(0.01)
-    assert len(world.writers) == writers
 
 
 @pytest.mark.parametrize(
@@ -239,22 +182,6 @@ def test_a_new_writer_that_cannot_take_over_leaves_the_old_one(fault, result):
     assert world.results == [result]
     assert world.live == [swap.current] == world.writers[:1]
     assert not swap.is_busy
-
-
-def test_a_reader_that_joins_while_samples_are_held_is_waited_for():
-    """A reader that only the old writer serves ends the holding, and the switch comes when both serve it."""
-    world, swap = make()
-    now_s = run(swap, settled(world, swap), TIMING.watch_s + 0.01)
-    assert swap.is_holding
-    swap.current.readers = 2
-    now_s = run(swap, now_s, 0.01)
-    assert swap.state is SwapState.MATCHING
-    world.live[-1].readers = 2
-    acknowledge(world)
-    now_s = run(swap, now_s, TIMING.settle_s - 0.01)
-    assert swap.qos == FIRST, "the new reader's side has not settled"
-    run(swap, now_s, 0.05, publishing=True)
-    assert world.results == [SwapResult.OK]
 
 
 @pytest.mark.parametrize("is_on_trial", [False, True])

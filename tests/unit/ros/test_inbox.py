@@ -21,7 +21,7 @@ from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.price_message import encode_price
 from arpd.ros.raw_reader import Sample, doubles, octets
 from tests.examples import examples
-from tests.ros.price import FREE
+from tests.ros.world import FREE
 
 LOW, OWN, HIGH = (bytes([number]) * 16 for number in (1, 2, 3))
 
@@ -108,16 +108,6 @@ def test_only_a_lower_guid_makes_a_daemon_stand_by(price, daemons, clock):
     assert daemons.active_daemon() == "another host"
     clock.now_s = 3.6
     assert daemons.active_daemon() == ""
-
-
-def test_a_known_daemon_counts_while_its_price_is_heard_among_many(price, daemons, clock):
-    """Of more daemons than are remembered, a known one stays known while it sends its price."""
-    others = [bytes([number]) * 16 for number in range(100, 131)]
-    for clock.now_s in (0.0, 2.0):
-        for who in (LOW, *others):
-            price(who)
-    clock.now_s = 5.0
-    assert daemons.active_daemon() == "another host"
 
 
 def test_what_is_no_price_makes_no_daemon(price, daemons):

@@ -41,20 +41,6 @@ def test_a_publisher_counts_once_the_graph_has_shown_it():
     assert (topics(nodes, 1.1 + SILENT_S), nodes.pending) == ([], 0)
 
 
-def test_a_node_that_returns_counts_from_its_own_numbers():
-    """A restarted node has another writer: its numbers replace those of its predecessor at once."""
-    nodes = Nodes()
-    nodes.note(b"1", snapshot("/n", "/a", "/gone", published=100), 0.0)
-    nodes.note(b"2", snapshot("/n", "/a", published=1), 1.0)
-    nodes.see(shows(lambda _node, _topic: True))
-    assert nodes.pending == 0
-    assert {state.topic: (state.published, state.announced_at_s) for state in nodes.live(1.1)} == {
-        "/a": (1, 1.0),
-        "/gone": (100, 0.0),
-    }
-    assert topics(nodes, 0.1 + SILENT_S) == ["/a"]
-
-
 def test_entries_are_bounded():
     """Nodes and publishers beyond all bounds are left out; those that are known stay."""
     nodes = Nodes()

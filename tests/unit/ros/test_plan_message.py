@@ -118,9 +118,3 @@ def test_the_application_s_own_qos_is_always_allowed():
     assert checked(row, own) == TopicPlan(**row)
     with pytest.raises(ValueError, match=r"^/t: d"):
         checked(row)
-
-
-def test_what_is_infinite_is_read_as_such():
-    """No rate is an infinite one, and what ROS 2 takes for no deadline becomes 0."""
-    row = checked({**FIELDS, "rate_hz": None, "deadline_ns": INFINITE_NS})
-    assert (row.rate_hz, row.deadline_ns) == (math.inf, 0)

@@ -45,13 +45,6 @@ def test_a_report_of_another_version_or_length_is_refused():
             decode_report(broken)
 
 
-def test_a_delay_keeps_its_microseconds_whatever_the_clocks_say():
-    """Clocks half a century apart leave a delay as precise as any."""
-    reports = (REPORT, replace(REPORT, delays_s=(REPORT.delays_s[0] + 1e-5,)))
-    early, late = (decode(encode_report(report)).delays_s[0] for report in reports)
-    assert late - early == pytest.approx(1e-5, abs=1e-6)
-
-
 @given(st.binary(max_size=60), st.integers(0, 200), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255))))
 @examples(200)
 def test_any_other_bytes_are_refused_or_read_as_finite_numbers(noise, size, spoils):

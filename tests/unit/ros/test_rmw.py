@@ -15,14 +15,6 @@ from arpd.ros.rmw import Rmw
 MS = 1_000_000
 
 
-@pytest.mark.parametrize("name", ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"])
-@pytest.mark.parametrize("is_secured", [False, True])
-def test_fast_dds_is_swapped(name, is_secured):
-    """On Fast DDS swaps are on and hosts are known, but not with security, when GUIDs have the enclave there."""
-    rmw = Rmw(name=name, is_secured=is_secured)
-    assert (rmw.is_fast_dds, rmw.tells_hosts, rmw.refusal) == (True, not is_secured, "")
-
-
 @pytest.mark.parametrize("name", ["rmw_cyclonedds_cpp", "rmw_connextdds", "rmw_zenoh_cpp", "rmw_of_next_year"])
 def test_what_was_not_measured_is_only_paced(name):
     """On any other middleware swaps are refused by name, and its GIDs tell no hosts."""

@@ -38,12 +38,6 @@ def test_a_steady_writer_has_its_rate_although_samples_are_lost(rate_hz, begun_s
     assert fed(kept).traffic(5.0).rate_hz == pytest.approx(rate_hz, rel=0.01)
 
 
-def test_two_writers_add_up():
-    """A topic with two writers has the rate of both."""
-    meter = fed(sorted([*steady(10), *steady(5, writer=b"b")], key=lambda sample: sample[2]))
-    assert meter.traffic(5.0).rate_hz == pytest.approx(15, rel=0.01)
-
-
 def test_the_history_of_a_latched_topic_has_a_size_and_no_rate():
     """Samples before the rated time tell the size alone."""
     traffic = fed([(b"a", 1, 0.1), (b"a", 2, 0.1)], rated_from_s=1.0, size=4000).traffic(5.0)

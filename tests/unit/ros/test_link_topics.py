@@ -1,0 +1,75 @@
+"""Which topics cross the link, and which may be measured, on a graph that a test makes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from arpd.ros.graph import Endpoint
+from arpd.ros.graph_view import ON_EVERY_NODE
+from arpd.ros.link_topics import LinkGraph, cannot_tell_hosts
+from arpd.ros.rmw import Rmw
+
+OWN, ROBOT, RELAY, BEYOND = (bytes([place, 1, host, *[1] * 13]) for place, host in enumerate((1, 1, 1, 2)))
+LIDAR, PLANNER, GHOST = Endpoint(gid=ROBOT, node="/lidar"), Endpoint(gid=BEYOND, node="/planner"), Endpoint(gid=RELAY)
+MIDDLEWARE = Rmw(name="rmw_fastrtps_cpp")
+
+
+@pytest.fixture(autouse=True)
+def _everywhere(monkeypatch):
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+
+
+def found(topics, *, prefix="", rmw=MIDDLEWARE):
+    """Return what is found of topics with these writers and readers, by name, and why each is not measured."""
+    view: Any = SimpleNamespace(
+        own=Endpoint(gid=OWN),
+        types=dict.fromkeys(topics, ("std_msgs/msg/String",)),
+        writers=lambda name: [Endpoint(gid=RELAY, node="/arpd_relay")] if name == ON_EVERY_NODE else topics[name][0],
+        readers=lambda name: topics[name][1],
+        look=lambda: 1,
+    )
+    graph = LinkGraph(view, rmw)
+    assert graph.look()
+    listed = {topic.name: topic for topic in graph.topics(prefix=prefix)}
+    return listed, {name: graph.obstacle(name) for name in listed}
+
+
+def test_a_topic_of_the_other_side_is_not_brought_over_the_link():
+    """A topic that another host publishes, alone or with this one, gets no reader; nor does one that nobody writes."""
+    topics = {"/commands": ([PLANNER], []), "/both": ([PLANNER, LIDAR], []), "/scan": ([LIDAR], [PLANNER])}
+    listed, reasons = found({**topics, "/unwritten": ([], [LIDAR])})
+    assert [name for name, reason in reasons.items() if not reason] == ["/scan"]
+    assert "beyond this host" in reasons["/both"]
+    assert (listed["/both"].writers, listed["/both"].far_writers) == (("/lidar",), ("/planner",))
+    assert (listed["/scan"].far_readers, listed["/scan"].is_crossing) == (("/planner",), True)
+
+
+def test_a_ghost_is_measured_only_where_its_topic_crosses_anyway():
+    """What arpd's relay writes for a node of the other side crosses once somebody here reads it, and not before."""
+    listed, reasons = found({"/unread": ([GHOST], []), "/cmd_vel": ([GHOST], [LIDAR])})
+    assert "only to be measured" in reasons["/unread"]
+    assert not reasons["/cmd_vel"]
+    assert [topic.is_crossing for topic in listed.values()] == [True, False]
+
+
+@pytest.mark.parametrize("far", [[], [PLANNER]], ids=["unread", "read beyond"])
+def test_a_relayed_topic_is_listed_once(far):
+    """A topic and what a relay with one end makes of it are one line, which crosses if somebody beyond reads it."""
+    listed, _ = found(
+        {"/scan": ([LIDAR], [GHOST]), "/link/scan": ([GHOST], far), "/link/mine": ([LIDAR], [])}, prefix="/link"
+    )
+    assert listed.keys() == {"/scan", "/link/mine"}
+    assert (listed["/scan"].relayed_as, listed["/scan"].is_crossing) == ("/link/scan", bool(far))
+
+
+def test_without_hosts_nothing_is_measured_and_the_reason_is_told():
+    """Where no GUID names its host, any topic may come over the link; the list says what helps."""
+    other = Rmw(name="rmw_other")
+    assert all(found({"/fast": ([LIDAR], [])}, rmw=other)[1].values())
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in cannot_tell_hosts(other)
+    assert not cannot_tell_hosts(other, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
