@@ -116,6 +116,10 @@ class Nodes:
         stack.callback(rclpy.try_shutdown, context=self.context)
         self._stack = stack
 
+    def at_end(self, callback):
+        """Call this before the nodes made so far are destroyed; rclpy destroys no action with its node."""
+        self._stack.callback(callback)
+
     def idle_node(self, name, **options):
         node = rclpy.create_node(
             name, context=self.context, start_parameter_services=False, enable_rosout=False, **options
@@ -376,7 +380,7 @@ def serve_fibonacci(side, step_s=0.02):
         goal.succeed()
         return Fibonacci.Result(sequence=sequence)
 
-    return ActionServer(
+    server = ActionServer(
         node,
         Fibonacci,
         "/fibonacci",
@@ -384,6 +388,7 @@ def serve_fibonacci(side, step_s=0.02):
         cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         callback_group=ReentrantCallbackGroup(),
     )
+    side.at_end(server.destroy)
 
 
 def action_client(world, eventually):
@@ -398,6 +403,7 @@ def action_client(world, eventually):
         publisher = math.create_publisher(kind, f"/fibonacci/_action/{part}", qos)
         carrier.create_subscription(kind, f"/fibonacci/_action/{part}", publisher.publish, qos, raw=True)
     client = ActionClient(world.base_nodes.node("user"), Fibonacci, "/fibonacci")
+    world.base_nodes.at_end(client.destroy)
     eventually("the service crosses", client.server_is_ready)
     return client
 
