@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.options import DEFAULT_CONFIG, Command, add_json
 from arpd.host.config.keys import changes, flatten
 from arpd.host.config.load import load_settings, local_domain
-from arpd.host.interface import MemoryReader, list_interfaces
+from arpd.host.interface import list_interfaces, read_memory
 from arpd.model.errors import ConfigError
 from arpd.model.quantities import format_rate
 from arpd.model.settings import Backend, Settings
@@ -63,7 +63,7 @@ def _check(options: argparse.Namespace) -> int:
             raise
         print(json.dumps({"ok": False, "file": str(options.file), "faults": error.faults}, indent=2))
         return error.exit_code
-    host_bytes = 0 if options.far or options.no_interfaces else MemoryReader().read().total_bytes
+    host_bytes = 0 if options.far or options.no_interfaces else read_memory().total_bytes
     warned = [] if options.far else [f"{options.file}: {warning}" for warning in _warnings(settings, host_bytes)]
     if options.json:
         document = {"ok": True, "file": str(options.file), "warnings": warned, "settings": flatten(settings)}

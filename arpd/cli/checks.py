@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from arpd import __version__
 from arpd.host import kernel, radio
+from arpd.host.interface import read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_duration, format_number, format_share, format_size
 from arpd.model.wire import MTU_BYTES, PACKET_BYTES
@@ -218,7 +219,7 @@ def transports(here: Here) -> Finding:
 
 def receive_buffers(_here: Here, *, proc: Path = kernel.PROC) -> Finding:
     """Judge the receive buffer of sockets, of which Fast DDS takes the default, by what was lost for want of it."""
-    size, udp = kernel.read_number(proc / "sys/net/core/rmem_default"), kernel.counters("Udp", proc=proc)
+    size, udp = read_number(proc / "sys/net/core/rmem_default"), kernel.counters("Udp", proc=proc)
     if size is None or not {"InDatagrams", "RcvbufErrors"} <= udp.keys():
         raise NotKnownError("the kernel does not tell it (/proc/net/snmp, net.core.rmem_default)")
     lost = udp["RcvbufErrors"]
@@ -231,7 +232,7 @@ def receive_buffers(_here: Here, *, proc: Path = kernel.PROC) -> Finding:
 
 def fragments(_here: Here, *, proc: Path = kernel.PROC) -> Finding:
     """Judge the reassembly of datagrams that IP cut; DDS cuts them itself in nodes with arpd's profile."""
-    ip, kept_s = kernel.counters("Ip", proc=proc), kernel.read_number(proc / "sys/net/ipv4/ipfrag_time")
+    ip, kept_s = kernel.counters("Ip", proc=proc), read_number(proc / "sys/net/ipv4/ipfrag_time")
     if kept_s is None or not {"ReasmOKs", "ReasmFails"} <= ip.keys():
         raise NotKnownError("the kernel does not tell it (/proc/net/snmp, net.ipv4.ipfrag_time)")
     incomplete = ip["ReasmFails"]

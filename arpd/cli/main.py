@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd import __version__
-from arpd.cli.no_daemon import step_after
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, NoAnswerError, RosUnavailableError
 
 if TYPE_CHECKING:
@@ -54,8 +53,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except ArpdError as error:
         print(f"arpd: {error}", file=sys.stderr)
-        if isinstance(error, NoAnswerError) and (step := step_after(error)):
-            print(f"arpd: {step}", file=sys.stderr)
+        if isinstance(error, NoAnswerError):
+            from arpd.cli.no_daemon import step_after
+
+            if step := step_after(error):
+                print(f"arpd: {step}", file=sys.stderr)
         return error.exit_code
     except ImportError as error:
         package = (error.name or "").partition(".")[0]

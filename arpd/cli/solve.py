@@ -14,7 +14,7 @@ from arpd.cli.options import Command, add_json, within
 from arpd.cli.output import fitted, show
 from arpd.govern.plan import Wanted
 from arpd.host.config.load import load_settings
-from arpd.host.config.yaml_source import Fault, Place, config_error
+from arpd.host.config.yaml_source import START, Fault, config_error
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.quantities import format_number, format_rate, format_share, format_size, parse_rate, printable
 from arpd.model.settings import Backend
@@ -161,7 +161,7 @@ def _solve_topics(options: argparse.Namespace) -> int:
             "write `topics: [{name: /camera, payload: 30kB, source_rate_hz: 30}]`, or let arpd topics --suggest measure"
         )
         wrong = f"no topic has a payload and a source_rate_hz; {write}"
-        raise config_error(options.config, [Fault(Place(), "topics", wrong)])
+        raise config_error(options.config, [Fault(START, "topics", wrong)])
     plans = [_plan(capacity, settings, traffic) for capacity in capacities]
     if options.json:
         print(json.dumps(plans if len(plans) > 1 else plans[0], indent=2))

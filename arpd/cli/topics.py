@@ -17,7 +17,7 @@ from arpd.host import interface as host
 from arpd.host.config.first_file import LinkChoice, first_file
 from arpd.host.config.load import load_settings, local_domain
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.kinds import ADDRESS
+from arpd.model.kinds import address
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.model.settings import AUTO, Settings
@@ -102,10 +102,9 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 def _address(word: str) -> str:
     try:
-        ADDRESS.read(word)
+        return address(word)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
-    return word
 
 
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:

@@ -7,7 +7,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from arpd.host.interface import ipv4_addresses
+from arpd.host.interface import SYS_NET, ipv4_addresses, read_number
 from arpd.model.errors import NotKnownError
 
 if TYPE_CHECKING:
@@ -15,20 +15,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PROC = Path("/proc")
-_SYS_NET = Path("/sys/class/net")
 _IP_MTU = 14  # linux/in.h
 _DISCARD_PORT = 9  # nothing is sent there
 
 
-def read_number(path: Path) -> int | None:
-    """Return the number in a file of the kernel's, None if there is none."""
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):
-        return None
-
-
-def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int:
+def read_mtu(interface: str) -> int:
     """Return the MTU of an interface (bytes).
 
     Raises
@@ -36,7 +27,7 @@ def read_mtu(interface: str, *, sys_net: Path = _SYS_NET) -> int:
     NotKnownError
         If there is no such interface.
     """
-    if (found := read_number(sys_net / interface / "mtu")) is None:
+    if (found := read_number(SYS_NET / interface / "mtu")) is None:
         raise NotKnownError(f"there is no interface {interface}")
     return found
 

@@ -1,6 +1,7 @@
-"""Kinds of values that the keys of a file take: how each is read, written back and described."""
+"""Kinds of values in the configuration file that pydantic does not know: quantities with units, ROS names, addresses.
 
-# ruff: noqa: TRY004 - pydantic collects ValueError and lets TypeError through
+Each refuses a value with ``what is wrong; what would be right``.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +9,10 @@ import ipaddress
 import re
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import AfterValidator
+from pydantic_core import core_schema
 
 from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
 from arpd.model.quantities import (
@@ -23,203 +27,94 @@ from arpd.model.quantities import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from enum import StrEnum
 
 NONE = "none"  # written where there is no value
-Written: TypeAlias = str | float | list[Any]  # a value as the file has it
 _HOST = re.compile(r"(?=.{1,253}\Z)[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_])?", re.ASCII)
+_ADDRESS = f"an IPv4 address, a host name or {NONE}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Kind:
-    """Kind of the value of one key; it annotates the attribute of the settings, where pydantic finds it.
+@dataclass(frozen=True)
+class Quantity:
+    """Kind of a number between two bounds that is written with its unit, because its key does not name one."""
 
-    Parameters
-    ----------
-    read : turns the value of the file into that of the settings, or raises ValueError with ``what is wrong; what would
-        be right``
-    write : turns it back
-    range : right values, as the manual prints them
-    word : stands for None
-    """
+    parse: Callable[[str], float]
+    spell: Callable[[float], str]
+    low: str
+    high: str
 
-    read: Callable[[Any], Any]
-    write: Callable[[Any], Written] = str
-    range: str
-    word: str = ""
-
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: Any) -> Any:
-        """Let ``read`` alone decide; only a process that reads a file with pydantic gets here."""
-        from pydantic_core import core_schema  # noqa: PLC0415 - users' nodes have no pydantic
-
-        return core_schema.no_info_plain_validator_function(self.read)
-
-
-def number(low: float, high: float, *, word: str = "", of: type[float] = float) -> Kind:
-    """Return the kind of a number, both bounds allowed, or a word for None."""
-    what, right = "a whole number" if of is int else "a number", f"{low:.12g}..{high:.12g}"
-
-    def read(raw: Any) -> float:
-        if isinstance(raw, bool) or not isinstance(raw, int if of is int else int | float):
-            raise ValueError(f"{shown(raw)} is not {what}; write {right}")
-        if not low <= raw <= high:  # neither is what is not finite
-            raise ValueError(f"{shown(raw)} is out of range; write {right}")
-        return of(raw)
-
-    return _or_word(Kind(read=read, write=of, range=right), word)
-
-
-count = partial(number, of=int)
-
-
-def _quantity(
-    parse: Callable[[str], float], spell: Callable[[float], str], what: str, low: str, high: str, *, word: str = ""
-) -> Kind:
-    """Return the kind of a number with its unit, because the key does not name one."""
-
-    def read(raw: Any) -> float:
-        if isinstance(raw, int | float) and not isinstance(raw, bool):
-            raise ValueError(f"{shown(raw)} has no unit; write {what}")
-        if not isinstance(raw, str):
-            raise ValueError(f"{shown(raw)} is not {what}; write {low}..{high}")
-        value = parse(raw)
-        if not parse(low) <= value <= parse(high):
-            raise ValueError(f"{printable(raw)} is out of range; write {low}..{high}")
+    def read(self, raw: Any) -> float:
+        """Return the quantity in base units."""
+        value = self.parse(str(raw))
+        if not self.parse(self.low) <= value <= self.parse(self.high):
+            raise ValueError(f"{printable(raw)} is out of range; write {self.low}..{self.high}")
         return value
 
-    return _or_word(Kind(read=read, write=spell, range=f"{low}..{high}"), word)
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Read before pydantic looks at the number, and write it with its unit."""
+        written = core_schema.plain_serializer_function_ser_schema(self.spell)
+        return core_schema.no_info_before_validator_function(self.read, handler(source), serialization=written)
 
 
-# Kinds of quantities between two bounds, or a word for None: rate("8kbit", "100gbit", word="auto").
-rate = partial(_quantity, parse_rate, spell_rate, "a rate like 20mbit")  # (bytes/s)
-size = partial(_quantity, parse_size, spell_size, "a size like 64MiB")  # (bytes)
-duration = partial(_quantity, parse_duration, spell_duration, "a duration like 500ms")  # (s)
+# Between two bounds: rate("8kbit", "100gbit").
+rate = partial(Quantity, parse_rate, spell_rate)  # (bytes/s)
+size = partial(Quantity, parse_size, spell_size)  # (bytes)
+duration = partial(Quantity, parse_duration, spell_duration)  # (s)
 
 
-def choice(words: type[StrEnum]) -> Kind:
-    """Return the kind of one of a few words."""
+@dataclass(frozen=True)
+class OrWord:
+    """A kind that takes a word, too, which stands for ``meaning``."""
 
-    def read(raw: Any) -> StrEnum:
-        if not isinstance(raw, str) or raw not in list(words):
-            raise ValueError(f"{shown(raw)} is not one of the choices; write {' or '.join(words)}")
-        return words(raw)
+    word: str
+    meaning: str | None = None
 
-    return Kind(read=read, range=" | ".join(words))
-
-
-def text(pattern: str, what: str, right: str, *, word: str = "") -> Kind:
-    """Return the kind of text that a pattern matches as a whole.
-
-    Parameters
-    ----------
-    what : name of the form, with its article
-    right : description of a right text
-    """
-
-    def read(raw: Any) -> str:
-        if not isinstance(raw, str) or not re.fullmatch(pattern, raw, re.ASCII):
-            raise ValueError(f"{shown(raw)} is not {what}; write {right}")
-        return raw
-
-    return _or_word(Kind(read=read, range=right), word)
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Keep the word from the kind."""
+        return core_schema.no_info_wrap_validator_function(
+            lambda raw, kind: self.meaning if raw == self.word else kind(raw),
+            handler(source),
+            serialization=core_schema.wrap_serializer_function_ser_schema(
+                lambda value, kind: self.word if value == self.meaning else kind(value)
+            ),
+        )
 
 
-def _name_pattern(raw: Any) -> str:
-    if not isinstance(raw, str) or not is_pattern(raw):
+def _name_pattern(raw: str) -> str:
+    if not is_pattern(raw):
         hint = f"/{raw}" if is_pattern(f"/{raw}") else "one such as /camera/image or /camera/**"
-        raise ValueError(f"{shown(raw)} is not an absolute ROS name or a pattern of such; write {hint}")
+        raise ValueError(f"'{printable(raw)}' is not an absolute ROS name or a pattern of such; write {hint}")
     if len(raw) > LONGEST_NAME:
         raise ValueError(f"is {len(raw)} characters long; ROS allows {LONGEST_NAME}")
     return raw
 
 
-def _topic_name(raw: Any) -> str:
-    name = _name_pattern(raw)
-    if "*" in name:
-        raise ValueError(f"{shown(raw)} is a pattern; name each topic here")
-    return name
-
-
-def _namespace(raw: Any) -> str:
-    if raw == NONE:
-        return ""
-    name = _topic_name(raw)
-    if is_hidden(name) or is_internal(f"{name}/"):
-        raise ValueError(f"{shown(raw)} is a name that never crosses the link; write one such as /robot1")
-    return name
-
-
-_ADDRESS = f"an IPv4 address, a host name or {NONE}"
-
-
-def _address(raw: Any) -> str | None:
-    if raw == NONE:
-        return None
-    if isinstance(raw, str) and ":" in raw:
-        raise ValueError(f"{shown(raw)} is no IPv4 address, and arpd's link is IPv4; write {_ADDRESS}")
-    if not isinstance(raw, str) or not _is_address(raw):
-        raise ValueError(f"{shown(raw)} is not an address; write {_ADDRESS}")
+def _topic_name(raw: str) -> str:
+    if "*" in _name_pattern(raw):
+        raise ValueError(f"'{printable(raw)}' is a pattern; name each topic here")
     return raw
 
 
-def _is_address(raw: str) -> bool:
-    if not re.fullmatch(r"[0-9.]+", raw):
-        return _HOST.fullmatch(raw) is not None
-    try:
-        ipaddress.IPv4Address(raw)
-    except ValueError:
-        return False
-    return True
+def _namespace(raw: str) -> str:
+    if is_hidden(_topic_name(raw)) or is_internal(f"{raw}/"):
+        raise ValueError(f"'{printable(raw)}' is a name that never crosses the link; write one such as /robot1")
+    return raw
 
 
-def _or_none(value: str | None) -> str:
-    return value or NONE
+def address(raw: str) -> str:
+    """Return an IPv4 address or a host name, or raise ValueError."""
+    if ":" in raw:
+        raise ValueError(f"'{printable(raw)}' is no IPv4 address, and arpd's link is IPv4; write {_ADDRESS}")
+    if re.fullmatch(r"[0-9.]+", raw):
+        try:
+            return str(ipaddress.IPv4Address(raw))
+        except ValueError:
+            pass
+    elif _HOST.fullmatch(raw):
+        return raw
+    raise ValueError(f"'{printable(raw)}' is not an address; write {_ADDRESS}")
 
 
-NAME_PATTERN = Kind(read=_name_pattern, range="a name such as /scan or a pattern such as /camera/**")
-TOPIC_NAME = Kind(read=_topic_name, range="an absolute ROS name such as /camera/image")
-NAMESPACE = Kind(read=_namespace, write=_or_none, range=f"an absolute ROS name such as /robot1, or {NONE}")
-ADDRESS = Kind(read=_address, write=_or_none, range=_ADDRESS, word=NONE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ListOf(Kind):
-    """Kind of a list; ``item`` is that of each item, and a fault names the item's place."""
-
-    item: Kind
-
-    def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
-        """Let pydantic go through the items."""
-        from pydantic_core import core_schema  # noqa: PLC0415 - users' nodes have no pydantic
-
-        return core_schema.tuple_schema([self.item.__get_pydantic_core_schema__(None, handler)], variadic_item_index=0)
-
-
-def listed(item: Kind, right: str) -> Kind:
-    """Return the kind of a list whose items are of one kind.
-
-    Parameters
-    ----------
-    right : description of a right list
-    """
-    return ListOf(read=tuple, write=lambda value: [item.write(each) for each in value], range=right, item=item)
-
-
-def _or_word(kind: Kind, word: str) -> Kind:
-    """Return a kind that takes a word for None, too."""
-    if not word:
-        return kind
-    return Kind(
-        read=lambda raw: None if raw == word else kind.read(raw),
-        write=lambda value: word if value is None else kind.write(value),
-        range=f"{kind.range} or {word}",
-        word=word,
-    )
-
-
-def shown(raw: Any) -> str:
-    """Return a value of the file as a fault shows it."""
-    if isinstance(raw, str):
-        return f"'{printable(raw)}'"
-    words = {type(None): "nothing", bool: str(raw).lower(), list: "a list", dict: "a mapping"}
-    return words.get(type(raw)) or repr(raw)
+NamePattern = Annotated[str, AfterValidator(_name_pattern)]
+TopicName = Annotated[str, AfterValidator(_topic_name)]
+Namespace = Annotated[str, AfterValidator(_namespace), OrWord(NONE, "")]
+Address = Annotated[str, AfterValidator(address)]

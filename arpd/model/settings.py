@@ -11,28 +11,14 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Annotated, Any, ClassVar
 
+from pydantic import Field
+
 from arpd.model.endpoints import Overflow
-from arpd.model.kinds import (
-    ADDRESS,
-    NAME_PATTERN,
-    NAMESPACE,
-    NONE,
-    TOPIC_NAME,
-    choice,
-    count,
-    duration,
-    listed,
-    number,
-    rate,
-    size,
-    text,
-)
+from arpd.model.kinds import NONE, Address, NamePattern, Namespace, OrWord, TopicName, duration, rate, size
 from arpd.model.names import compile_patterns
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
-_PATTERNS = listed(NAME_PATTERN, "a list of names and patterns such as [/scan, /camera/**]")
-_MOST_KNOWN = 10_000  # names on the network may come and go for ever
 
 
 def key_of(attribute: str) -> str:
@@ -89,13 +75,11 @@ class LinkSettings(Section):
     packet_overhead_s : pinned t_ovh, link time of a packet beyond its bytes; None = estimate (s)
     """
 
-    interface: Annotated[str, text(r"[!-.0-9;-~]{1,15}", "an interface name", "auto or an interface of this host")] = (
-        AUTO
-    )
-    capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit", word=AUTO)] = None
+    interface: Annotated[str, Field(min_length=1, max_length=15)] = AUTO
+    capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit"), OrWord(AUTO)] = None
     initial_capacity_bytes_per_second: Annotated[float, rate("8kbit", "100gbit")] = 2.5e6
-    headroom: Annotated[float, number(0.05, 1)] = 0.85
-    packet_overhead_s: Annotated[float | None, duration("0s", "100ms", word=AUTO)] = None
+    headroom: Annotated[float, Field(ge=0.05, le=1)] = 0.85
+    packet_overhead_s: Annotated[float | None, duration("0s", "100ms"), OrWord(AUTO)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -111,9 +95,9 @@ class ProgramSettings(Section):
     memory_reserve_bytes : memory that histories must leave free on the host (bytes)
     """
 
-    policy: Annotated[Policy, choice(Policy)] = Policy.PER_TOPIC
-    backend: Annotated[Backend, choice(Backend)] = Backend.OSQP
-    deadline_slack: Annotated[float, number(1, 100)] = 1.25
+    policy: Policy = Policy.PER_TOPIC
+    backend: Backend = Backend.OSQP
+    deadline_slack: Annotated[float, Field(ge=1, le=100)] = 1.25
     memory_budget_bytes: Annotated[float, size("64KiB", "1024GiB")] = 64 * 2**20
     memory_reserve_bytes: Annotated[float, size("0B", "1024GiB")] = 128 * 2**20
 
@@ -144,17 +128,17 @@ class HttpSettings(Section):
     web_config : file with TLS and users in the format of Prometheus exporters, None = no protection
     """
 
-    host: Annotated[str, text(r"[A-Za-z0-9.:_-]{1,253}", "an address", "an IP address or a host name")] = "127.0.0.1"
-    port: Annotated[int, count(0, 65535)] = 9464
-    web_config: Annotated[str | None, text(r"[^\0\r\n]{1,4096}", "a path", "a path", word=NONE)] = None
+    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 9464
+    web_config: Annotated[str | None, Field(min_length=1), OrWord(NONE)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphSettings(Section):
     """Pinned topic counts; None = count the live graph."""
 
-    sensing_topics: Annotated[int | None, count(0, 10_000, word=AUTO)] = None
-    actuation_topics: Annotated[int | None, count(0, 10_000, word=AUTO)] = None
+    sensing_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
+    actuation_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -171,19 +155,19 @@ class Preferences(Section):
         None = no cap
     """
 
-    weight: Annotated[float, number(0.001, 1000)] = 1.0
-    min_rate_hz: Annotated[float | None, number(0, 100_000)] = None
-    max_rate_hz: Annotated[float | None, number(0.001, 100_000, word="source")] = None
-    min_depth: Annotated[int, count(1, 5000)] = 1
-    max_depth: Annotated[int, count(1, 5000)] = 5000
-    latency_budget_s: Annotated[float | None, duration("1ms", "1h", word=NONE)] = 1.0
+    weight: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
+    min_rate_hz: Annotated[float | None, Field(ge=0, le=100_000)] = None
+    max_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), OrWord("source")] = None
+    min_depth: Annotated[int, Field(ge=1, le=5000)] = 1
+    max_depth: Annotated[int, Field(ge=1, le=5000)] = 5000
+    latency_budget_s: Annotated[float | None, duration("1ms", "1h"), OrWord(NONE)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DefaultPreferences(Preferences):
     """Preferences for topics without settings of their own."""
 
-    min_rate_hz: Annotated[float, number(0, 100_000)] = 1.0
+    min_rate_hz: Annotated[float, Field(ge=0, le=100_000)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,9 +181,9 @@ class TopicSettings(Preferences):
     source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
     """
 
-    name: Annotated[str, NAME_PATTERN]
-    payload_bytes: Annotated[float | None, size("1B", "1GB", word="measured")] = None
-    source_rate_hz: Annotated[float | None, number(0.001, 100_000, word="measured")] = None
+    name: NamePattern
+    payload_bytes: Annotated[float | None, size("1B", "1GB"), OrWord("measured")] = None
+    source_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), OrWord("measured")] = None
 
     @property
     def is_pattern(self) -> bool:
@@ -216,8 +200,8 @@ class TopicGroup(Section):
     name : stands for them in the program; the first of them where none is given
     """
 
-    name: Annotated[str, TOPIC_NAME] = ""
-    topics: Annotated[tuple[str, ...], listed(TOPIC_NAME, "a list of names such as [/left/image, /right/image]")]
+    name: TopicName = ""
+    topics: Annotated[tuple[TopicName, ...], Field(min_length=2)]
 
     def __post_init__(self) -> None:
         """Give it its name."""
@@ -235,9 +219,9 @@ class RelayTopic(Section):
     depth : KEEP_LAST depth before the first plan, None = one that suits the samples
     """
 
-    name: Annotated[str, TOPIC_NAME]
-    overflow: Annotated[Overflow, choice(Overflow)] = Overflow.LATEST
-    depth: Annotated[int | None, count(1, 5000)] = None
+    name: TopicName
+    overflow: Overflow = Overflow.LATEST
+    depth: Annotated[int | None, Field(ge=1, le=5000)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -266,18 +250,18 @@ class RelaySettings(Section):
     topics : topics to carry under the prefix; with two ends, topics with an overflow or a depth of their own
     """
 
-    link_domain: Annotated[int | None, count(0, 232, word=NONE)] = None
-    robot: Annotated[str | None, ADDRESS] = None
-    base: Annotated[str | None, ADDRESS] = None
-    namespace: Annotated[str, NAMESPACE] = ""
-    to_base: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
-    to_robot: Annotated[tuple[str, ...], _PATTERNS] = ("/**",)
-    deny: Annotated[tuple[str, ...], _PATTERNS] = ()
-    services: Annotated[tuple[str, ...], _PATTERNS] = ()
-    actions: Annotated[tuple[str, ...], _PATTERNS] = ()
+    link_domain: Annotated[int | None, Field(ge=0, le=232), OrWord(NONE)] = None
+    robot: Annotated[Address | None, OrWord(NONE)] = None
+    base: Annotated[Address | None, OrWord(NONE)] = None
+    namespace: Namespace = ""
+    to_base: tuple[NamePattern, ...] = ("/**",)
+    to_robot: tuple[NamePattern, ...] = ("/**",)
+    deny: tuple[NamePattern, ...] = ()
+    services: tuple[NamePattern, ...] = ()
+    actions: tuple[NamePattern, ...] = ()
     call_timeout_s: Annotated[float, duration("100ms", "1h")] = 10.0
     groups: tuple[TopicGroup, ...] = ()
-    prefix: Annotated[str, TOPIC_NAME] = "/link"
+    prefix: TopicName = "/link"
     topics: tuple[RelayTopic, ...] = ()
 
     @property
@@ -330,10 +314,10 @@ class Settings(Section):
     defaults: DefaultPreferences = field(default_factory=DefaultPreferences)
     topics: tuple[TopicSettings, ...] = ()
     relay: RelaySettings = field(default_factory=RelaySettings)
-    on_stop: Annotated[OnStop, choice(OnStop)] = OnStop.RESTORE
-    on_lost: Annotated[OnLost, choice(OnLost)] = OnLost.KEEP
+    on_stop: OnStop = OnStop.RESTORE
+    on_lost: OnLost = OnLost.KEEP
     lost_after_s: Annotated[float, duration("5s", "1h")] = 30.0
-    _known: dict[str, Preferences] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _named: dict[str, Preferences] = field(default_factory=dict, init=False, repr=False, compare=False)
     _patterns: list[tuple[re.Pattern[str], Preferences]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
@@ -342,7 +326,7 @@ class Settings(Section):
         """Prepare what `topic` answers: names, then patterns, the most specific first, then the defaults."""
         if self.program.policy is not Policy.UNIFORM:
             patterns = sorted((topic for topic in self.topics if topic.is_pattern), key=_specificity)
-            self._known.update({topic.name: topic for topic in self.topics if not topic.is_pattern})
+            self._named.update({topic.name: topic for topic in self.topics if not topic.is_pattern})
             self._patterns.extend((compile_patterns([topic.name]), topic) for topic in patterns)
         given = {each.name: getattr(self.defaults, each.name) for each in fields(Preferences)}
         self._patterns.append((re.compile(".*"), Preferences(**given | {"min_rate_hz": None})))
@@ -357,11 +341,8 @@ class Settings(Section):
 
         Under the uniform policy no topic has its own.
         """
-        if (found := self._known.get(name)) is None:
-            found = next(preferences for pattern, preferences in self._patterns if pattern.fullmatch(name))
-            if len(self._known) < _MOST_KNOWN:
-                self._known[name] = found
-        return found
+        matching = (preferences for pattern, preferences in self._patterns if pattern.fullmatch(name))
+        return self._named.get(name) or next(matching)
 
 
 def _specificity(topic: TopicSettings) -> tuple[int, int]:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.host.interface import InterfaceReader, MemoryReader
-from arpd.host.radio import Radio
+from arpd.host.interface import InterfaceReader, read_memory
+from arpd.host.radio import is_radio, transmit_rate
 from arpd.model.endpoints import Direction, PublisherState
+from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
@@ -93,10 +94,9 @@ class RosControl:
             log.warning("%s", self._rmw.refusal)
         # At debug level, because the decision log says it too.
         self._reader = InterfaceReader(interface, note=lambda _level, words: log.debug("%s", words))
-        self._radio = Radio()
-        self._memory = MemoryReader()
-        self._memory_state = self._memory.read()
+        self._memory = read_memory()
         self._radio_rate: float | None = None
+        self._radio_fault = ""
         self._graph_settings = graph
         self._on_report_arrived = on_report
         self._clock = clock
@@ -150,7 +150,7 @@ class RosControl:
             counters=self._reader.read(),
             reports=reports,
             publishers=publishers,
-            memory=self._memory_state,
+            memory=self._memory,
             sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
             actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
             peers=graph.peers,
@@ -243,7 +243,7 @@ class RosControl:
         radio_s = -math.inf
         while self._node.context.ok():
             try:
-                self._memory_state = self._memory.read()
+                self._memory = read_memory()
                 self._read_graph()
                 if self._clock() >= radio_s:
                     radio_s = self._clock() + _RADIO_S
@@ -265,4 +265,11 @@ class RosControl:
             self._reports.see(graph.peers or 0)
 
     def _read_radio(self) -> None:
-        self._radio_rate = self._radio.read(self._reader.name, self._reader.index)
+        name = self._reader.name
+        try:
+            self._radio_rate = transmit_rate(name) if is_radio(name) else None
+        except NotKnownError as error:
+            self._radio_rate = None
+            if self._radio_fault != (fault := str(error)):
+                self._radio_fault = fault
+                log.info("%s has no known bit rate: %s; arpd goes without it", name, fault)

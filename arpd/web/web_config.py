@@ -170,7 +170,8 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
         return Protection()
     path = directory / http.web_config
     source = read_source(path, minimal=_MINIMAL)
-    faults, document = [*source.faults], WebDocument()
+    faults: list[Fault] = []
+    document = WebDocument()
     if source.data.get("tls_server_config", ...) is None:
         faults.append(source.fault(("tls_server_config",), "has no value; give it keys or leave it out"))
     try:
@@ -200,8 +201,7 @@ def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
         case "value_error":
             text = str(details["ctx"]["error"])
         case _:
-            wrong = "has no value" if source.value(location) is None else "is not a mapping"
-            text = f"{wrong}; give it keys or leave it out"
+            text = "is not a mapping; give it keys or leave it out"
     return source.fault(location, text)
 
 

@@ -12,11 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import socket
 import sys
 import time
 from collections import deque
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,10 +59,9 @@ class Witness:
         if math.isinf(self._started_s):
             self._read()
         now_s, waiting_bytes = time.monotonic(), 0
-        with suppress(OSError):
-            if counters := read_counters(socket.if_nametoindex(INTERFACE)):
-                waiting_bytes = counters.backlog_bytes or 0
-                self._left.append((now_s, counters.tx_bytes))
+        if counters := read_counters(INTERFACE):
+            waiting_bytes = counters.backlog_bytes or 0
+            self._left.append((now_s, counters.tx_bytes))
         while len(self._left) > 1 and self._left[1][0] <= now_s - AHEAD_S:
             self._left.popleft()
         span_s = self._left[-1][0] - self._left[0][0] if self._left else 0.0

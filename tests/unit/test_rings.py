@@ -27,7 +27,6 @@ TOUCHES_THE_WORLD = {
     "pathlib",
     "prometheus_client",
     "psutil",
-    "pydantic",
     "rclpy",
     "socket",
     "subprocess",

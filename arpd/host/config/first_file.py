@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
+from pydantic import TypeAdapter
 
-from arpd.host.config.keys import keys_of
 from arpd.model.kinds import NONE
 from arpd.model.quantities import format_rate, printable
 from arpd.model.settings import TopicSettings
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _WIDTH = 110
 _LONGEST = 400
+_TOPIC = TypeAdapter(TopicSettings)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -132,14 +133,9 @@ def _of_robot(link: LinkChoice) -> str:
 
 def _entry(settings: TopicSettings) -> Mapping[str, Any]:
     """Return one item of `topics`, without keys that say what holds anyway."""
-    entry: dict[str, Any] = {}
-    default = TopicSettings(name=settings.name)
-    for name, key in keys_of(TopicSettings).items():
-        value = getattr(settings, key.attribute)
-        if value != getattr(default, key.attribute) or name in {"name", "weight"}:
-            written = key.kind.write(value)
-            entry[name] = int(written) if isinstance(written, float) and written.is_integer() else written
-    return {"name": entry.pop("name"), **entry}
+    given = _TOPIC.dump_python(settings, mode="json", by_alias=True, exclude_defaults=True)
+    entry = {"name": settings.name, "weight": settings.weight} | given
+    return {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in entry.items()}
 
 
 def _yaml(value: Any) -> list[str]:

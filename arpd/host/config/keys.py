@@ -2,72 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+import difflib
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from arpd.model.kinds import Kind
-from arpd.model.settings import Section, Settings, key_of
+from pydantic import TypeAdapter
+
+from arpd.model.settings import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from arpd.model.kinds import Written
+    from arpd.host.config.yaml_source import Location
 
+Written: TypeAlias = str | float | list[str]  # a value as the file has it
+SETTINGS = TypeAdapter(Settings)
+SCHEMA = SETTINGS.json_schema()
 _RESTART_ONLY = ("link.interface", "http.", "relay.")
-_ABSENT = "absent"
 
 
-class Key(NamedTuple):
-    """Attribute of a key, and the `Kind` of its value, or the section under it."""
-
-    attribute: str
-    kind: Any
-
-
-_KEYS: dict[type[Section], dict[str, Key]] = {}
-
-
-def keys_of(section: type[Section]) -> dict[str, Key]:
-    """Return the keys of a section."""
-    if section not in _KEYS:
-        hints = get_type_hints(section, include_extras=True)
-        names = [each.name for each in fields(section) if each.init]  # type: ignore[arg-type]
-        _KEYS[section] = {key_of(name): Key(name, _kind(hints[name])) for name in names}
-    return _KEYS[section]
+def _sections(schema: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+    schema = schema.get("items", schema)
+    schema = SCHEMA["$defs"][schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+    if keys := {name: key for name, key in schema.get("properties", {}).items() if not name.startswith("_")}:
+        yield path, keys
+        for name, key in keys.items():
+            yield from _sections(key, (*path, name))
 
 
-def _kind(hint: Any) -> Any:
-    if get_origin(hint) is Annotated:
-        return hint.__metadata__[0]
-    return get_args(hint)[0] if get_args(hint) else hint
+# The keys of every section by its location, without positions in lists, each with its JSON schema.
+SECTIONS = dict(_sections(SCHEMA))
 
 
-def _sections(section: type[Section], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], dict[str, Key]]]:
-    yield path, keys_of(section)
-    for name, key in keys_of(section).items():
-        if not isinstance(key.kind, Kind):
-            yield from _sections(key.kind, (*path, name))
+def keys_at(location: Location) -> dict[str, Any]:
+    """Return the keys of the section there; none if there is no section."""
+    return SECTIONS.get(tuple(step for step in location if isinstance(step, str)), {})
 
 
-# The keys of every section by its location, without list positions.
-SECTIONS = dict(_sections(Settings))
+def nearest(location: Location) -> str:
+    """Suggest a key that looks like the wrong one, or list the known keys."""
+    wrong, here = str(location[-1]), keys_at(location[:-1])
+    if near := difflib.get_close_matches(wrong[:100].lower(), here, n=1):
+        return f"did you mean {near[0]}?"
+    if elsewhere := [".".join((*path, wrong)) for path, keys in SECTIONS.items() if wrong in keys]:
+        return f"did you mean {elsewhere[0]}?"
+    return f"known here: {', '.join(here)}"
 
 
 def flatten(settings: Settings) -> dict[str, Written]:
     """Return every key with its value as the file writes it: ``{"link.capacity": "20mbit", …}``."""
-    return dict(_rows(settings, ""))
+    return dict(_rows(SETTINGS.dump_python(settings, mode="json", by_alias=True), "", ()))
 
 
-def _rows(section: Section, path: str) -> Iterator[tuple[str, Written]]:
-    for key, (attribute, kind) in keys_of(type(section)).items():
-        value = getattr(section, attribute)
-        if isinstance(value, Section):
-            yield from _rows(value, f"{path}{key}.")
-        elif not isinstance(kind, Kind):
-            for item in value:
-                yield from _rows(item, f"{path}{key}[{item.name}].")
-        elif key != "name" and (value is not None or kind.word):
-            yield f"{path}{key}", kind.write(value)
+def _rows(value: Any, shown: str, path: tuple[str, ...]) -> Iterator[tuple[str, Written]]:
+    for key, inner in value.items():
+        if (*path, key) not in SECTIONS:
+            if inner is not None and key in SECTIONS[path]:
+                yield f"{shown}{key}", inner
+        elif isinstance(inner, dict):
+            yield from _rows(inner, f"{shown}{key}.", (*path, key))
+        else:
+            for item in inner:
+                yield from _rows(item, f"{shown}{key}[{item.pop('name')}].", (*path, key))
 
 
 def spelled(value: Written) -> str:
@@ -79,7 +74,7 @@ def changes(old: Settings, new: Settings) -> dict[str, str]:
     """Return ``old -> new`` for each key that differs."""
     before, after = flatten(old), flatten(new)
     return {
-        key: f"{spelled(before.get(key, _ABSENT))} -> {spelled(after.get(key, _ABSENT))}"
+        key: f"{spelled(before.get(key, 'absent'))} -> {spelled(after.get(key, 'absent'))}"
         for key in before | after
         if before.get(key) != after.get(key)
     }

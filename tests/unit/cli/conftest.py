@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from arpd.cli import check
 from arpd.cli import main as cli
-from arpd.host.interface import MemoryReader
 from arpd.model.observation import MemoryState
 
 
@@ -15,7 +15,7 @@ def host_memory(monkeypatch):
 
     def give(total_bytes):
         memory = MemoryState(total_bytes=total_bytes, available_bytes=total_bytes)
-        monkeypatch.setattr(MemoryReader, "read", lambda _: memory)
+        monkeypatch.setattr(check, "read_memory", lambda: memory)
 
     give(16 * 2**30)
     return give

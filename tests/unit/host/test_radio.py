@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from errno import ENODEV
 
 import pytest
 
@@ -12,7 +11,6 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 from pyroute2.netlink.nl80211 import nl80211cmd
 
 from arpd.host import radio
-from arpd.host.radio import Radio, transmit_rate
 from arpd.model.errors import NotKnownError
 
 # linux/nl80211.h
@@ -49,62 +47,23 @@ def station(*info):
     return answer(*station, *([attribute(ATTR_STA_INFO, info, nested=True)] if info else []))
 
 
-def test_the_rate_is_told_in_bytes_per_second():
-    """The transmit rate of 866.7 Mbit/s is converted; the receive rate beside it is ignored."""
-    found = station(
-        attribute(STA_INFO_SIGNAL, b"\xc4"),
-        rate(STA_INFO_TX_BITRATE, bitrate=8667),
-        rate(STA_INFO_RX_BITRATE, bitrate=60),
-    )
-    assert transmit_rate([found]) == pytest.approx(866.7e6 / 8)
-
-
-@pytest.mark.parametrize(
-    "stations",
-    [
-        [],
-        [station()],
-        [station(attribute(STA_INFO_SIGNAL, b"\xc4"))],
-        [station(rate(STA_INFO_TX_BITRATE, bitrate=0))],
-    ],
-)
-def test_a_station_that_tells_no_rate_bounds_nothing(stations):
-    """Without an access point, or before the first frame, which some drivers tell as zero, there is no rate."""
-    assert transmit_rate(stations) is None
-
-
 @pytest.fixture
 def sys_net(tmp_path, monkeypatch):
-    monkeypatch.setattr("arpd.host.radio.index_of", {"wlan0": 3, "eth0": 2}.get)
+    monkeypatch.setattr(radio, "index_of", {"wlan0": 3, "eth0": 2}.get)
+    monkeypatch.setattr(radio, "SYS_NET", tmp_path)
     (tmp_path / "wlan0/phy80211").mkdir(parents=True)
     (tmp_path / "wlan0/phy80211/index").write_text("1\n")
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        PermissionError(1, "Operation not permitted"),
-        OSError(ENODEV, "gone"),
-        ImportError("no pyroute2"),
-        KeyError("attr"),
-    ],
-)
-def test_no_fault_of_the_radio_leaves_its_module(sys_net, caplog, fault):
-    """Every fault gives None, and the log names it once while it stays the same."""
-    caplog.set_level("INFO")
+@pytest.fixture
+def kernel(sys_net, monkeypatch):
+    """Let nl80211 give these answers."""
 
-    def ask(_index):
-        raise fault
+    def give(*answers):
+        monkeypatch.setattr(radio, "_ask", lambda _command, index: answers if index == 3 else [])
 
-    reader = Radio(ask=ask, sys_net=sys_net)
-    assert [reader.read("wlan0", 3) for _ in range(3)] == [None] * 3
-    assert len(caplog.records) == 1
-    assert type(fault).__name__ in caplog.text
-
-
-def told_power_save(state):
-    return answer(attribute(ATTR_PS_STATE, struct.pack("I", state)))
+    return give
 
 
 def told_region(code, number=None):
@@ -112,34 +71,41 @@ def told_region(code, number=None):
     return answer(*named, attribute(ATTR_REG_ALPHA2, code.encode() + b"\0"))
 
 
-def test_a_radio_is_read(sys_net):
-    """Each question goes to the interface's number, and a radio's own regulatory domain counts."""
-    asked = []
-
-    def ask(*answers):
-        def answer_to(index):
-            asked.append(index)
-            return answers
-
-        return answer_to
-
-    assert radio.power_save("wlan0", ask=ask(told_power_save(1)))
-    assert radio.signal("wlan0", ask=ask(station(attribute(STA_INFO_SIGNAL, b"\xc4")))) == -60
-    assert radio.region("wlan0", ask=ask(told_region("00"), told_region("DE", number=1)), sys_net=sys_net) == "DE"
-    assert asked == [3, 3, 3]
+def test_a_radio_is_read(kernel):
+    """A rate of 866.7 Mbit/s is told in bytes; the receive rate is ignored; a radio's own regulatory domain counts."""
+    signal = attribute(STA_INFO_SIGNAL, b"\xc4")
+    kernel(station(signal, rate(STA_INFO_TX_BITRATE, bitrate=8667), rate(STA_INFO_RX_BITRATE, bitrate=60)))
+    assert radio.transmit_rate("wlan0") == pytest.approx(866.7e6 / 8)
+    assert radio.signal("wlan0") == -60
+    kernel(answer(attribute(ATTR_PS_STATE, struct.pack("I", 1))))
+    assert radio.power_save("wlan0")
+    kernel(told_region("00"), told_region("DE", number=1))
+    assert radio.region("wlan0") == "DE"
 
 
+@pytest.mark.parametrize(
+    "info", [None, [], [attribute(STA_INFO_SIGNAL, b"\xc4")], [rate(STA_INFO_TX_BITRATE, bitrate=0)]]
+)
+def test_a_station_that_tells_no_rate_bounds_nothing(kernel, info):
+    """Without an access point, or before the first frame, which some drivers tell as zero, there is no rate."""
+    kernel(*([] if info is None else [station(*info)]))
+    with pytest.raises(NotKnownError, match="no bit rate now"):
+        radio.transmit_rate("wlan0")
+
+
+@pytest.mark.parametrize(
+    "fault", [PermissionError(1, "Operation not permitted"), ImportError("no pyroute2"), KeyError("a")]
+)
 @pytest.mark.usefixtures("sys_net")
-def test_a_radio_that_refuses_is_not_known():
-    """The error says why."""
+def test_no_fault_of_the_radio_leaves_its_module(monkeypatch, fault):
+    """The error says why nothing is known."""
 
-    def refuse(_index):
-        raise PermissionError(1, "Operation not permitted")
+    def refuse(_command, _index):
+        raise fault
 
-    with pytest.raises(NotKnownError, match="not permitted"):
-        radio.power_save("wlan0", ask=refuse)
-    with pytest.raises(NotKnownError, match="no signal now"):
-        radio.signal("wlan0", ask=lambda _index: [])
+    monkeypatch.setattr(radio, "_ask", refuse)
+    with pytest.raises(NotKnownError, match=type(fault).__name__):
+        radio.power_save("wlan0")
 
 
 @pytest.mark.parametrize(
@@ -157,4 +123,4 @@ def test_the_radio_of_a_tunnel_is_one_that_is_up(sys_net, interface, state, radi
     (sys_net / "eth0/device").mkdir(parents=True)
     if state is not None:
         (sys_net / "wlan0/operstate").write_text(f"{state}\n")
-    assert radio.radios_of(interface, sys_net=sys_net) == radios
+    assert radio.radios_of(interface) == radios
