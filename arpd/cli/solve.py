@@ -44,8 +44,8 @@ share. Exits 1 when the constraints cannot be met.
                                Rmin <= R <= Rmax, Dmin <= D <= Dmax          (4)
 
 With --config, show what the daemon would plan for the file's topics on a link of a given capacity, or of several.
-Payload and rate of a topic's source come from the file (payload, source_rate_hz); arpd topics --suggest measures both.
-Needs neither ROS nor a daemon.
+Payload and rate of a topic's source come from the file (payload, source_rate_hz), and topics without both are left out;
+arpd topics --suggest measures them. Needs neither ROS nor a daemon.
 
 examples:
   arpd solve --rmax 100 --sensing 11 --actuation 1            the first row of the paper's Table 2: R 7 Hz, D 365
@@ -168,10 +168,6 @@ def _solve_topics(options: argparse.Namespace) -> int:
     else:
         for plan in plans:
             _show(plan)
-    if left_out := plans[0]["left_out"]:
-        names = ", ".join(printable(name, longest=250) for name in left_out)
-        why = f"{options.config} does not say both their payload and their source_rate_hz"
-        print(f"arpd: left out: {names}; {why}", file=sys.stderr)
     return 0
 
 
@@ -182,8 +178,6 @@ def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Do
     rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
     answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=crossing)
     qos = Wanted(answer, rows, (), previous={}, settings=settings).rows
-    relayed = {settings.relay.link_prefix + name for name in settings.relay.topic_names}
-    named = relayed | {topic.name for topic in settings.topics if not topic.is_pattern}
     return {
         "capacity_bytes_per_second": capacity,
         "headroom": settings.link.headroom,
@@ -198,7 +192,6 @@ def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Do
             | {"depth": qos[row.name].depth, "deadline_ns": qos[row.name].deadline_ns or None}
             for row, each in zip(rows, answer.topics, strict=True)
         ],
-        "left_out": sorted(named - loads.keys()),
     }
 
 

@@ -162,16 +162,10 @@ def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
 
 
 def _suggest(listed: TopicList, link: LinkChoice) -> None:
-    """Print the configuration; what its reader should know besides goes to stderr."""
+    """Print the configuration; what does not stand in it goes to stderr."""
     guess = first_guess(listed.topics)
     origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
     sys.stdout.write(first_file(guess, link, origin=origin))
-    if link.robot_is_guessed_from:
-        _remark(f"relay.robot is the address of {link.robot_is_guessed_from}; --robot gives another")
-    elif link.robot is None and link.base is None:
-        _remark("no address of this robot was found: fill in relay.robot, or give --robot")
-    if unmeasured := [topic.name for topic in listed.topics if topic.traffic is None]:
-        _remark(f"not measured: {', '.join(unmeasured)}; `arpd topics` says why")
     if guess.left_out:
         _remark(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
     _remark("weights and minimum rates are guesses: read them, then `arpd check FILE`")

@@ -4,21 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.cli import check
 from arpd.cli import main as cli
-from arpd.model.observation import MemoryState
-
-
-@pytest.fixture(autouse=True)
-def host_memory(monkeypatch):
-    """Give the host 16 GiB; returns a function that gives it another amount (bytes)."""
-
-    def give(total_bytes):
-        memory = MemoryState(total_bytes=total_bytes, available_bytes=total_bytes)
-        monkeypatch.setattr(check, "read_memory", lambda: memory)
-
-    give(16 * 2**30)
-    return give
 
 
 @pytest.fixture(autouse=True)

@@ -180,50 +180,32 @@ def test_no_name_from_the_network_stands_in_a_line_to_copy():
 # -- kernel
 
 
-def proc(folder, *, overflowed=0, incomplete=0, buffer_bytes=212_992, reassembly_s=30):
-    """Return a tree as the kernel has it, without what is None."""
-    snmp = []
-    if incomplete is not None:
-        snmp += ["Ip: Forwarding ReasmOKs ReasmFails", f"Ip: 1 10000 {incomplete}"]
-    if overflowed is not None:
-        snmp += ["Udp: InDatagrams RcvbufErrors", f"Udp: 1000000 {overflowed}"]
-    numbers = {"core/rmem_default": buffer_bytes, "ipv4/ipfrag_time": reassembly_s}
-    files = {f"sys/net/{name}": str(number) for name, number in numbers.items() if number is not None}
-    for name, text in {**files, "net/snmp": "\n".join(snmp)}.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
-    return folder
-
-
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    ("check", "lost", "setting", "expected"),
     [
-        ({}, "fine"),
-        ({"overflowed": 9}, "fine"),
-        ({"overflowed": 99}, "fine"),
-        ({"overflowed": 5000}, "wrong"),
-        ({"overflowed": 5000, "buffer_bytes": 8 * 2**20}, "fine"),
-        ({"buffer_bytes": None}, "unknown"),
-        ({"overflowed": None}, "unknown"),
+        (receive_buffers, 0, 212_992, "fine"),
+        (receive_buffers, 99, 212_992, "fine"),
+        (receive_buffers, 5000, 212_992, "wrong"),
+        (receive_buffers, 5000, 8 * 2**20, "fine"),  # it was raised, and the counters stay
+        (receive_buffers, "", 212_992, "unknown"),
+        (receive_buffers, 0, "", "unknown"),
+        (fragments, 0, 30, "fine"),
+        (fragments, 50_000, 30, "wrong"),
+        (fragments, 50_000, 3, "fine"),  # lost fragments harm no others when they are soon forgotten
+        (fragments, "", 30, "unknown"),
     ],
 )
-def test_a_small_buffer_is_wrong_where_datagrams_were_lost_for_want_of_it(tmp_path, changes, expected):
-    """A default size that loses nothing harms nobody, and one that was raised is fine, although the counters stay."""
-    assert health(receive_buffers, None, proc=proc(tmp_path, **changes)) == expected
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, "fine"),
-        ({"incomplete": 500}, "wrong"),
-        ({"incomplete": 500, "reassembly_s": 3}, "fine"),
-        ({"incomplete": None}, "unknown"),
-    ],
-)
-def test_reassembly_is_wrong_where_many_datagrams_never_became_whole(tmp_path, changes, expected):
-    """Short patience makes lost fragments harmless to the others."""
-    assert health(fragments, None, proc=proc(tmp_path, **changes)) == expected
+def test_what_the_kernel_loses_is_wrong_where_it_is_much_and_a_setting_mends_it(
+    tmp_path, check, lost, setting, expected
+):
+    """A small buffer or a long patience that loses little harms nobody."""
+    for folder in ("net", "sys/net/core", "sys/net/ipv4"):
+        (tmp_path / folder).mkdir(parents=True)
+    snmp = f"Ip: ReasmOKs ReasmFails\nIp: 1000000 {lost}\nUdp: InDatagrams RcvbufErrors\nUdp: 1000000 {lost}\n"
+    (tmp_path / "net/snmp").write_text(snmp)
+    for name in ("core/rmem_default", "ipv4/ipfrag_time"):
+        (tmp_path / "sys/net" / name).write_text(str(setting))
+    assert health(check, None, proc=tmp_path) == expected
 
 
 # -- software

@@ -99,15 +99,6 @@ def test_an_ill_computer_shows_what_to_do(asked, computer):
     assert len(lines(found, width=WITHOUT_END, is_verbose=True)) == len(shown) + 8
 
 
-@pytest.mark.parametrize(("answer", "code"), [('{"api_version": "v1", "ready": false}', 503), ("something else", 200)])
-def test_a_daemon_that_does_not_tell_alarms_nobody(asked, answer, code):
-    """The clock is not known, and the other checks go on."""
-    with serving(answer, code) as url:
-        found = check_up(asked(url))
-    assert healths(found)["clock"] == "unknown"
-    assert "wrong" not in {health for about, health in healths(found).items() if about not in {"versions", "rmw"}}
-
-
 @pytest.mark.parametrize(
     ("units", "is_far"),
     [

@@ -52,14 +52,12 @@ def test_several_capacities_are_a_list_or_tables(solve, config):
     assert "gave way: " in out
 
 
-def test_topics_of_which_nothing_is_known_are_left_out_and_named(solve, config):
-    """These are entries without both keys and relayed topics without an entry; the note goes to stderr."""
-    path = config(f"{SMALL}  - {{name: /odd, payload: 1kB}}\nrelay: {{topics: [{{name: /gps}}]}}\n")
-    code, out, err = solve("--config", path, "--capacity", "2mbit")
-    assert code == 0
-    assert "for 3 topics" in out
-    assert err.startswith("arpd: left out: /link/gps, /odd; ")
-    assert json.loads(solve("--config", path, "--capacity", "2mbit", "--json")[1])["left_out"] == ["/link/gps", "/odd"]
+def test_topics_of_which_nothing_is_known_are_left_out(solve, config):
+    """With none there is nothing to plan, and the file is wrong."""
+    path = config(f"{SMALL}  - {{name: /odd, payload: 1kB}}\n")
+    assert "for 3 topics" in solve("--config", path, "--capacity", "2mbit")[1]
+    code, out, err = solve("--config", config("topics: [{name: /odd, payload: 1kB}]"), "--capacity", "2mbit")
+    assert (code, out, err.startswith(f"{path}:1:1: topics: no topic has")) == (78, "", True)
 
 
 @pytest.mark.parametrize("command", [("solve", "--capacity", "5mbit", "--config"), ("check",)])
