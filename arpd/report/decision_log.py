@@ -7,13 +7,13 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from arpd.model.quantities import format_duration
+from arpd.model.quantities import format_duration, printable
 from arpd.report.conditions import MESSAGE_IDS, Condition, Event, Finding, Happening, Severity
 from arpd.report.log_plan import PlanLog
 from arpd.report.log_rates import RatesLog
 from arpd.report.log_swaps import SwapLog
 from arpd.report.situation import HIDDEN_WHILE_CUT, is_cut, lasting
-from arpd.report.wording import count, one_line
+from arpd.report.wording import MOST_TEXT, count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -100,8 +100,8 @@ class DecisionLog:
             number=self._number,
             at_s=snapshot.finished_at_s,
             unix_time_s=snapshot.unix_time_s,
-            text=one_line(event.text),
-            details=MappingProxyType({name: one_line(text, _MOST_DETAIL) for name, text in event.details.items()}),
+            text=printable(event.text, longest=MOST_TEXT),
+            details={name: printable(text, longest=_MOST_DETAIL) for name, text in event.details.items()},
         )
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan, TopicPlan
     from arpd.report.snapshot import Snapshot
 
-_GONE = 0.02  # of the capacity: cross traffic that is not worth naming
-
 
 class PlanLog:
     """New plans; one that asks for the same as the one before is none, though its level may differ."""
@@ -101,10 +99,7 @@ def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, plan: QosP
         lasts = f"{'only ' if fell else ''}{format_rate(plan.level_bytes_per_second)}"
         return f"topics can count on {lasts}, though the link carries {carries} now"
     if then is not None and _is_cross_traffic(link, then):
-        taken = link.cross_traffic_bytes_per_second
-        if taken < _GONE * link.capacity_bytes_per_second:
-            return f"cross traffic is gone, the link's {carries} are free"
-        takes = f"{'takes' if fell else 'takes only'} {format_rate(taken)}"
+        takes = f"{'takes' if fell else 'takes only'} {format_rate(link.cross_traffic_bytes_per_second)}"
         return f"cross traffic {takes}, leaving {format_rate(link.available_bytes_per_second)} of {carries}"
     return f"link {'fell' if fell else 'rose'} to {carries}"
 

@@ -33,12 +33,6 @@ def deadline(period_ns: int) -> str:
     return f"deadline {format_period(period_ns)}" if period_ns else "no deadline"
 
 
-def one_line(text: str, most: int = MOST_TEXT) -> str:
-    """Return a text in one printable line of at most ``most`` characters."""
-    line = "".join(char if char.isprintable() else "?" for char in " ".join(text.split()))
-    return line if len(line) <= most else f"{line[: most - 1]}…"
-
-
 def short(name: str) -> str:
     """Return a name; of one that is too long for a sentence, the end, which tells topics apart."""
     return name if len(name) <= _MOST_NAME else f"…{name[1 - _MOST_NAME :]}"

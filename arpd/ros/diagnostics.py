@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import QoSProfile
 
+from arpd.model.quantities import printable
 from arpd.report.diagnostics import diagnose
-from arpd.report.wording import one_line
+from arpd.report.wording import MOST_TEXT
 from arpd.ros.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
@@ -78,7 +79,11 @@ class Diagnostics:
         return DiagnosticStatus(
             level=bytes([status.level]),
             name=status.name,
-            message=one_line(status.message),
+            message=_line(status.message),
             hardware_id=self._host,
-            values=[KeyValue(key=one_line(key), value=one_line(text)) for key, text in status.values.items()],
+            values=[KeyValue(key=_line(key), value=_line(text)) for key, text in status.values.items()],
         )
+
+
+def _line(text: str) -> str:
+    return printable(text, longest=MOST_TEXT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, TopicAllocation
 from arpd.model.endpoints import PublisherState
@@ -17,11 +17,11 @@ from arpd.model.price import Price
 from arpd.model.probing import ClockOffset
 from arpd.model.relay import RelaySummary
 from arpd.report.conditions import Condition, Event, Happening, Severity
-from arpd.report.history import LINK_SERIES, MOST_TOPICS, NO_RATES, PERIOD_S, RATE_SERIES, SPAN_S
+from arpd.report.history import LINK_SERIES, PERIOD_S, SPAN_S
 from arpd.report.situation import judge
 from arpd.report.snapshot import Totals
 from arpd.report.topic_rows import Topic, topic_rows
-from arpd.web.json_text import head_and_rows, plain
+from arpd.web.json_text import plain, text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -165,25 +165,6 @@ class Status:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TopicHistory:
-    """One publisher, by topic and node.
-
-    Parameters
-    ----------
-    planned_rate_hz : ceiling of the plan (Hz); null = unpaced or not planned
-    published_rate_hz, source_rate_hz : rates at which the writer sent, and the application published (Hz)
-    paced_rate_hz : rate that the price leaves the publisher (Hz); null = unpaced or not there
-    """
-
-    topic: str
-    node: str
-    planned_rate_hz: tuple[float | None, ...]
-    published_rate_hz: tuple[float | None, ...]
-    source_rate_hz: tuple[float | None, ...]
-    paced_rate_hz: tuple[float | None, ...]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class History:
     """The answer of GET /api/v1/history: the last ten minutes, one sample a second, in columns as long as times.
 
@@ -197,8 +178,6 @@ class History:
     times : of each sample (Unix time, s), counted back from the last one, so that they always rise
     states : of the link
     link : numbers of the link, each as in the status
-    topics : publishers of the last ten minutes, sorted by topic and node
-    topics_omitted : live publishers without history, which is kept for 200
     events : the last lines of the decision log, oldest first
     """
 
@@ -209,13 +188,11 @@ class History:
     times: tuple[float, ...]
     states: tuple[str, ...]
     link: Mapping[str, tuple[float | None, ...]]
-    topics_omitted: int
     events: tuple[Event, ...]
-    topics: tuple[TopicHistory, ...] = ()
 
 
 def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf) -> Iterator[bytes]:
-    """Yield the whole snapshot as a JSON document, the topics one by one, because each takes a while.
+    """Yield the whole snapshot as a JSON document, the topics last and one by one, because each takes a while.
 
     Parameters
     ----------
@@ -271,7 +248,12 @@ def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf
         config_path=snapshot.config_path,
         config_error=snapshot.config_error,
     )
-    yield from head_and_rows(head, map(plain, rows))
+    parts = plain(head)
+    del parts["topics"]
+    yield text(parts)[:-1] + b',"topics":['
+    for number, row in enumerate(rows):
+        yield (b"," if number else b"") + text(plain(row))
+    yield b"]}\n"
 
 
 def _finding(found: conditions.Finding) -> Finding:
@@ -279,8 +261,8 @@ def _finding(found: conditions.Finding) -> Finding:
     return Finding(condition=what, severity=what.severity, headline=what.headline, text=found.text, wrong=what.is_wrong)
 
 
-def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> Iterator[bytes]:
-    """Yield the history as a JSON document, topic by topic.
+def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> bytes:
+    """Return the history as a JSON document.
 
     Parameters
     ----------
@@ -289,27 +271,12 @@ def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> Iterator
     """
     newest = samples[-1] if samples else None
     columns = list(zip(*(sample.link for sample in samples), strict=True)) or [()] * len(LINK_SERIES)
-    head = History(
+    history = History(
         unix_time_s=newest.unix_time_s if newest else None,
         # Counted back from the newest: somebody may have set the wall clock, and charts need rising times.
         times=tuple(newest.unix_time_s - (newest.at_s - sample.at_s) for sample in samples) if newest else (),
         states=tuple(sample.state for sample in samples),
         link=dict(zip(LINK_SERIES, columns, strict=True)),
-        topics_omitted=newest.omitted if newest else 0,
         events=tuple(logged),
     )
-    yield from head_and_rows(head, _histories(samples))
-
-
-def _histories(samples: Sequence[Sample]) -> Iterator[dict[str, Any]]:
-    """Yield the topics as `TopicHistory` has them; their numbers are short already, and there are many."""
-    width = len(RATE_SERIES)
-    slots_of_all = {id(sample.slots): sample.slots for sample in reversed(samples)}.values()  # they change rarely
-    identities = dict.fromkeys(identity for slots in slots_of_all for identity in slots)
-    for identity in sorted([*identities][:MOST_TOPICS]):
-        own = (sample.slots.get(identity) for sample in samples)
-        rows = [
-            NO_RATES if slot is None else sample.rates_hz[slot * width : (slot + 1) * width]
-            for sample, slot in zip(samples, own, strict=True)
-        ]
-        yield {**identity._asdict(), **dict(zip(RATE_SERIES, zip(*rows, strict=True), strict=True))}
+    return text(plain(history)) + b"\n"

@@ -99,4 +99,4 @@ class Documents:
 
     def _past(self) -> Iterable[bytes]:
         samples, snapshot = self._history.samples, self.snapshot()
-        return history_json(samples, snapshot.events if snapshot else ())
+        return (history_json(samples, snapshot.events if snapshot else ()),)

@@ -20,7 +20,7 @@ from pydantic_core import to_json
 from arpd.model.quantities import shortened
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
 
 _T = TypeVar("_T")
 
@@ -31,22 +31,6 @@ _HIDDEN = {
     "Totals": {"durations", "solves_by_outcome"},
 }
 _MAY_BE_INFINITE = {"age_s", "paced_rate_hz", "queue_delay_s", "rate_hz", "share_per_weight"}
-
-
-def head_and_rows(head: Any, topics: Iterable[dict[str, Any]]) -> Iterator[bytes]:
-    """Yield a document, its topics last and one by one, so that a tick that is due can begin in between.
-
-    Parameters
-    ----------
-    head : the document without topics
-    topics : each as `plain` returns it
-    """
-    parts = plain(head)
-    del parts["topics"]
-    yield _text(parts)[:-1] + b',"topics":['
-    for number, topic in enumerate(topics):
-        yield (b"," if number else b"") + _text(topic)
-    yield b"]}\n"
 
 
 def plain(value: Any, name: str = "") -> Any:
@@ -67,6 +51,11 @@ def plain(value: Any, name: str = "") -> Any:
     return {key: plain(getattr(value, key), key) for key in _keys(value.__class__)}
 
 
+def text(value: Any) -> bytes:
+    """Return what `plain` returns as JSON."""
+    return to_json(value, inf_nan_mode="null")
+
+
 @cache
 def _keys(kind: Any) -> tuple[str, ...]:
     hidden = _HIDDEN.get(kind.__name__, set())
@@ -74,7 +63,7 @@ def _keys(kind: Any) -> tuple[str, ...]:
 
 
 def read(kind: Callable[..., _T], document: object) -> _T:
-    """Return a document of a kind that `head_and_rows` has written.
+    """Return a document of a kind as the daemon writes it.
 
     Raises
     ------
@@ -114,7 +103,3 @@ def _with_infinities(part: Any) -> Any:
             for key, value in part.items()
         }
     return [_with_infinities(each) for each in part] if isinstance(part, list) else part
-
-
-def _text(value: Any) -> bytes:
-    return to_json(value, inf_nan_mode="null")

@@ -51,25 +51,17 @@ class SnapshotCollector(Collector):
     ----------
     snapshot : returns the last snapshot, None before the first tick finished
     clock : monotonic clock of the snapshot's time (s)
-    version, python : labels of ``arpd_build_info``
     """
 
-    def __init__(
-        self,
-        snapshot: Callable[[], Snapshot | None],
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        version: str = __version__,
-        python: str = platform.python_version(),
-    ) -> None:
+    def __init__(self, snapshot: Callable[[], Snapshot | None], *, clock: Callable[[], float] = time.monotonic) -> None:
         self._snapshot = snapshot
         self._clock = clock
-        self._build = {"version": version, "python": python}
 
     def collect(self) -> Iterator[Metric]:
         """Yield the families in a fixed order; what is not known has none."""
         snapshot = self._snapshot()
-        yield _family("build", "Version of arpd and of Python.", self._build)
+        build = {"version": __version__, "python": platform.python_version()}
+        yield _family("build", "Version of arpd and of Python.", build)
         yield _family("ready", "1 once the first tick has finished.", snapshot is not None)
         if snapshot is None:
             return

@@ -20,8 +20,6 @@ HISTORY = {
         "queue_delay_s": [0.0] * 349 + [0.35] + [0.0] * 250,
         "allowed_ratio": [1.0] * 350 + [0.5] + [1.0] * 249,
     },
-    "topics": [],
-    "topics_omitted": 0,
     "events": [],
 }
 

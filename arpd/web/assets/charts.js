@@ -42,17 +42,19 @@ const TOPIC_SERIES = [
   { name: "sent", key: "published_rate_hz", of: (t) => t.confirmed.published_rate_hz, color: "--delivered", filled: true },
 ];
 
-/** The last samples in columns, as in the history document; each status document adds one to each column. */
+/** The last samples in columns, as in the history document; each status document adds one to each column. Those of the topics
+ * begin with the page. */
 class Past {
-  constructor(history) {
+  constructor(history, status) {
     this.spanS = history.span_s;
     this.periodS = history.period_s;
     this.times = history.times;
     this.states = history.states;
     this.columns = new Map(Object.entries(history.link));
-    this.topics = new Map(history.topics.map((topic) => [identity(topic), topic]));
+    this.topics = new Map();
     this.plans = history.events.filter((event) => event.kind === "plan").map((event) => event.unix_time_s);
     this.generation = undefined;
+    if (this.times.length > 0) this.#add(status.topics);
   }
 
   append(status) {
@@ -63,7 +65,13 @@ class Past {
     this.times.push(now);
     this.states.push(status.link.state);
     for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).push(one.of(status) ?? null);
-    const live = new Map(status.topics.map((topic) => [identity(topic), topic]));
+    this.#add(status.topics);
+    while (this.times[0] < now - this.spanS) this.#forget();
+  }
+
+  /** Add the last sample of the topics. */
+  #add(topics) {
+    const live = new Map(topics.map((topic) => [identity(topic), topic]));
     for (const [name, { topic, node }] of live) if (!this.topics.has(name)) this.topics.set(name, { topic, node, ...this.#absent() });
     for (const [name, topic] of this.topics) {
       for (const one of TOPIC_SERIES) {
@@ -71,7 +79,6 @@ class Past {
         topic[one.key].push((now && one.of(now)) ?? null);
       }
     }
-    while (this.times[0] < now - this.spanS) this.#forget();
   }
 
   /** Columns of a topic that has not been there before the last time. */
@@ -102,10 +109,11 @@ export class Charts {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#rebuild());
   }
 
-  /** Take a history document whole. */
-  load(history) {
-    this.past = new Past(history);
+  /** Take a history document whole, and the topics of a status document. */
+  load(history, status) {
+    this.past = new Past(history, status);
     this.section.hidden = false;
+    this.#offer(status.topics);
     this.draw();
   }
 

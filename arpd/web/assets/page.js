@@ -54,7 +54,7 @@ async function loadHistory() {
   isLoading = false;
   nextHistoryMs = performance.now() + (history === null ? HISTORY_PAUSE_MS : 0);
   hasHistory = history !== null;
-  if (hasHistory) charts.load(history);
+  if (hasHistory) charts.load(history, seen.status);
 }
 
 /** Ask once, and again a second later; nobody asks while nobody looks. */

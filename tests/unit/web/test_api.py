@@ -46,9 +46,9 @@ def documents(sample_snapshot):
     return {
         "full": {
             "status": status_of(full, now_s=1000.25),
-            "history": json.loads(b"".join(history_json(past.samples, (EVENT,)))),
+            "history": json.loads(history_json(past.samples, (EVENT,))),
         },
-        "empty": {"status": status_of(empty, is_ready=False), "history": json.loads(b"".join(history_json((), ())))},
+        "empty": {"status": status_of(empty, is_ready=False), "history": json.loads(history_json((), ()))},
     }
 
 
