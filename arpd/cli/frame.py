@@ -189,7 +189,6 @@ def _relay(relay: RelaySummary) -> str:
     others = (
         (relay.incomplete, "samples of incomplete groups dropped"),
         (sum(relay.calls_failed.values()), "calls failed"),
-        (len(relay.types_differ), "topics with two types"),
         (len(relay.strangers), "nodes in the link domain that are not arpd's"),
     )
     host = f" ({relay.other_host})" if relay.other_host else ""

@@ -40,7 +40,6 @@ class RelaySummary:
     incomplete : samples of groups that the robot's end dropped, because their set was never complete
     calls_failed : calls from the robot's nodes that had no answer, by reason
     strangers : nodes in the link domain that are not arpd's; the first few
-    types_differ : topics whose type differs between the sides, and how
     """
 
     other_host: str = ""
@@ -56,4 +55,3 @@ class RelaySummary:
     incomplete: int = 0
     calls_failed: Mapping[str, int] = field(default_factory=dict)
     strangers: tuple[str, ...] = ()
-    types_differ: Mapping[str, str] = field(default_factory=dict)

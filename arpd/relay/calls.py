@@ -25,15 +25,12 @@ _MOST_MESSAGE = 250  # characters
 _HEADER = struct.Struct(">BIQ")  # kind, session that it is meant for, number
 _NUMBER_BYTES = 8
 
-#: Writes a record to the link. One that still waits there is replaced by the next one with the same source.
-Send: TypeAlias = "Callable[[bytes, int], None]"
-
 
 class Kind(IntEnum):
     """Kind of a record: the caller sends the first two, the callee the others.
 
-    WAITING has the numbers of all calls that wait, and as its own the number of the next one. MISSING asks for a
-    request.
+    WAITING has the numbers of all calls that wait, and as its own that of the last one that was made. MISSING asks for
+    a request.
     """
 
     REQUEST = 1
@@ -50,6 +47,18 @@ class Record(NamedTuple):
     to: int
     number: int
     body: bytes = b""
+
+    def encode(self) -> bytes:
+        """Return the record as bytes."""
+        return _HEADER.pack(*self[:3]) + self.body
+
+    @classmethod
+    def decode(cls, data: bytes) -> Record:
+        """Return the record from its bytes; ValueError = they are none."""
+        if len(data) < _HEADER.size:
+            raise ValueError(f"a record of {len(data)} bytes; it has {_HEADER.size} at least")
+        kind, to, number = _HEADER.unpack_from(data)
+        return cls(Kind(kind), to, number, data[_HEADER.size :])
 
 
 class Request(NamedTuple):
@@ -88,30 +97,11 @@ class CallId(NamedTuple):
     number: int
 
 
-def encode_record(record: Record) -> bytes:
-    """Return the record as bytes."""
-    return _HEADER.pack(*record[:3]) + record.body
-
-
-def decode_record(data: bytes) -> Record:
-    """Return the record from its bytes.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no record.
-    """
-    if len(data) < _HEADER.size:
-        raise ValueError(f"a record of {len(data)} bytes; it has {_HEADER.size} at least")
-    kind, to, number = _HEADER.unpack_from(data)
-    return Record(Kind(kind), to, number, data[_HEADER.size :])
-
-
 class _Waiting(NamedTuple):
     """A call that waits for its outcome."""
 
     service: str
-    record: bytes
+    request: bytes
     on_end: Callable[[Outcome], None]
     until_s: float
 
@@ -121,31 +111,29 @@ class CallBook:
 
     Parameters
     ----------
-    send : writes one record to the link
+    send : writes one record to the link, in the place of one with the same source that still waits there
     run : called once per call of the other end; `finish` ends it, at once or later
-    stop : called when nobody waits for the outcome of a call that runs
     """
 
-    def __init__(self, *, send: Send, run: Callable[[CallId, Request], None], stop: Callable[[CallId], None]) -> None:
-        self._send, self._run, self._stop = send, run, stop
+    def __init__(self, *, send: Callable[[bytes, int], None], run: Callable[[CallId, Request], None]) -> None:
+        self._send, self._run = send, run
         self._other = 0  # session of the other end
         self._is_reachable = False
         self._waiting: dict[int, _Waiting] = {}  # calls to the other end, by number
-        self._next = 1
+        self._number = 0  # of the last one
         self._tell_s = math.inf  # when to say which calls wait
         # Calls of the other end: None while one runs, then the record of its outcome, empty where nobody waits; the
         # last used last.
         self._calls: dict[CallId, bytes | None] = {}
 
     @property
-    def waiting(self) -> int:
-        """Count the calls to the other end that wait."""
-        return len(self._waiting)
+    def under_way(self) -> tuple[int, int]:
+        """Count the calls to the other end that wait, and those of the other end that run."""
+        return len(self._waiting), sum(record is None for record in self._calls.values())
 
-    @property
-    def running(self) -> int:
-        """Count the calls of the other end that run."""
-        return sum(record is None for record in self._calls.values())
+    def runs(self, call: CallId) -> bool:
+        """Return whether somebody waits for the outcome of a call that runs."""
+        return self._calls.get(call, b"") is None
 
     def follow(self, other: int | None) -> None:
         """Speak with this session of the other end from now on; None = it is unreachable.
@@ -155,13 +143,13 @@ class CallBook:
         """
         self._is_reachable = other is not None
         if other is None:
-            self._give_up(self._waiting, FailureReason.UNREACHABLE, "the other end became unreachable")
+            self._give_up([*self._waiting], FailureReason.UNREACHABLE, "the other end became unreachable")
         elif other != self._other:
-            self._give_up(self._waiting, FailureReason.RESTARTED, "the other end restarted; the call may have run")
+            words = "the other end restarted; the call may have run"
+            self._give_up([*self._waiting], FailureReason.RESTARTED, words)
             self._other = other
-            for call in self._calls:
-                if call.caller != other:
-                    self._close(call)
+            for call in [each for each in self._calls if each.caller != other]:
+                self._close(call)
 
     def receive(self, sender: int, record: Record) -> None:
         """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
@@ -184,17 +172,24 @@ class CallBook:
         elif (call := self._waiting.get(record.number)) is None:
             return
         elif record.kind is Kind.MISSING:
-            self._send(call.record, record.number)
-        elif record.kind is Kind.ANSWER:
+            self._send(call.request, record.number)
+        else:
+            outcome: Outcome = record.body
+            if record.kind is Kind.FAILURE:
+                reason, _, message = record.body.decode().partition("\0")
+                outcome = CallFailure(FailureReason(reason), message)
             del self._waiting[record.number]
             if len(record.body) > SMALL_BYTES:
                 self._tell()  # the other end has no room for many
-            call.on_end(record.body)
-        else:
-            reason, _, message = record.body.decode().partition("\0")
-            failure = CallFailure(FailureReason(reason), message)
-            del self._waiting[record.number]
-            call.on_end(failure)
+            call.on_end(outcome)
+
+    def step(self, now_s: float) -> None:
+        """Say which calls wait, and end those whose time is over; call it several times a second."""
+        late = [number for number, call in self._waiting.items() if now_s >= call.until_s]
+        self._give_up(late, FailureReason.TIMEOUT, "no answer in time")
+        if now_s >= self._tell_s and self._is_reachable:
+            self._tell()
+            self._tell_s = now_s + REPEAT_S if self._waiting else math.inf
 
     # -- calls to the other end
 
@@ -211,15 +206,15 @@ class CallBook:
             on_end(CallFailure(FailureReason.UNREACHABLE, "the other end is unreachable"))
             return
         body = f"{request.service}\0{request.type_name}\0".encode() + request.body
-        record = encode_record(Record(Kind.REQUEST, self._other, self._next, body))
-        size = sum(len(call.record) for call in self._waiting.values()) + len(record)
+        record = Record(Kind.REQUEST, self._other, self._number + 1, body).encode()
+        size = sum(len(call.request) for call in self._waiting.values()) + len(record)
         if len(self._waiting) >= MOST_CALLS or size > MOST_BYTES:
             words = f"more than {MOST_CALLS} calls, or {MOST_BYTES} bytes of their requests, would wait"
             on_end(CallFailure(FailureReason.BUSY, words))
             return
-        self._waiting[self._next] = _Waiting(request.service, record, on_end, now_s + timeout_s)
-        self._send(record, self._next)
-        self._next += 1
+        self._number += 1
+        self._waiting[self._number] = _Waiting(request.service, record, on_end, now_s + timeout_s)
+        self._send(record, self._number)
         self._tell_s = min(self._tell_s, now_s + REPEAT_S)
 
     def fail(self, service: str, message: str) -> None:
@@ -227,29 +222,20 @@ class CallBook:
         numbers = [number for number, call in self._waiting.items() if call.service == service]
         self._give_up(numbers, FailureReason.NO_SERVER, message)
 
-    def step(self, now_s: float) -> None:
-        """Say which calls wait, and end those whose time is over; call it several times a second."""
-        late = [number for number, call in self._waiting.items() if now_s >= call.until_s]
-        self._give_up(late, FailureReason.TIMEOUT, "no answer in time")
-        if now_s >= self._tell_s and self._is_reachable:
-            self._tell()
-            self._tell_s = now_s + REPEAT_S if self._waiting else math.inf
-
     def _give_up(self, numbers: Iterable[int], reason: FailureReason, message: str) -> None:
-        ended = [(number, self._waiting.pop(number)) for number in [*numbers]]
-        for number, call in ended:
+        for number, call in [(number, self._waiting.pop(number)) for number in numbers]:
             self._tell(number)  # takes the place of its request where that has not left yet
             call.on_end(CallFailure(reason, message))
 
     def _tell(self, source: int = 0) -> None:
         numbers = struct.pack(f">{len(self._waiting)}Q", *self._waiting)
-        self._send(encode_record(Record(Kind.WAITING, self._other, self._next, numbers)), source)
+        self._send(Record(Kind.WAITING, self._other, self._number, numbers).encode(), source)
 
     # -- calls of the other end
 
     def finish(self, call: CallId, outcome: Outcome) -> None:
-        """End a call of the other end with its outcome; one that the caller has given up is ignored."""
-        if self._calls.get(call, b"") is not None:
+        """End a call of the other end with its outcome; one that nobody waits for is ignored."""
+        if not self.runs(call):
             return
         record = _outcome_record(call, outcome)
         if sum(len(kept) for kept in self._calls.values() if kept) + len(record) > MOST_BYTES:
@@ -257,25 +243,24 @@ class CallBook:
             record = _outcome_record(call, failure)
         self._calls[call] = record
         self._repeat(call)
-        over = [each for each, kept in self._calls.items() if kept is not None]
-        for each in over[:-MOST_CALLS]:
+        for each in [each for each, kept in self._calls.items() if kept is not None][:-MOST_CALLS]:
             del self._calls[each]
 
     def _serve(self, call: CallId, request: Request) -> None:
         if call in self._calls:
             self._repeat(call)
             return
-        is_free = self.running < MOST_CALLS
+        _, running = self.under_way
         self._calls[call] = None
-        if is_free:
+        if running < MOST_CALLS:
             self._run(call, request)
         else:
             self.finish(call, CallFailure(FailureReason.BUSY, f"{MOST_CALLS} calls run"))
 
-    def _settle(self, following: int, waiting: set[int]) -> None:
+    def _settle(self, last: int, waiting: set[int]) -> None:
         """Give up what the caller has given up, and send what it lacks."""
         for call in self._calls:
-            if call.caller == self._other and call.number < following and call.number not in waiting:
+            if call.caller == self._other and call.number <= last and call.number not in waiting:
                 self._close(call)
         for call in (CallId(self._other, number) for number in sorted(waiting)):
             if call in self._calls:
@@ -285,24 +270,21 @@ class CallBook:
 
     def _repeat(self, call: CallId) -> None:
         if record := self._calls[call]:
-            del self._calls[call]
-            self._calls[call] = record
+            self._calls[call] = self._calls.pop(call)
             self._send(record, -call.number)
 
     def _close(self, call: CallId) -> None:
         """Forget the outcome of a call, but not that it ran."""
         record, self._calls[call] = self._calls[call], b""
-        if record is None:
-            self._stop(call)
-        elif len(record) > SMALL_BYTES:
+        if record and len(record) > SMALL_BYTES:
             self._ask(call)  # takes the place of the answer where that has not left yet
 
     def _ask(self, call: CallId) -> None:
-        self._send(encode_record(Record(Kind.MISSING, *call)), -call.number)
+        self._send(Record(Kind.MISSING, *call).encode(), -call.number)
 
 
 def _outcome_record(call: CallId, outcome: Outcome) -> bytes:
     if isinstance(outcome, CallFailure):
         body = f"{outcome.reason}\0{outcome.message[:_MOST_MESSAGE]}".encode(errors="replace")
-        return encode_record(Record(Kind.FAILURE, call.caller, call.number, body))
-    return encode_record(Record(Kind.ANSWER, call.caller, call.number, outcome))
+        return Record(Kind.FAILURE, call.caller, call.number, body).encode()
+    return Record(Kind.ANSWER, call.caller, call.number, outcome).encode()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Chunk(NamedTuple):
     part: bytes
 
 
+@lru_cache(maxsize=10_000)
 def writer_key(gid: str) -> bytes:
     """Return what stands for the writer with this GUID in records, in a third of its bytes."""
     return hashlib.blake2s(gid.encode(), digest_size=8).digest()

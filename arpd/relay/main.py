@@ -6,7 +6,6 @@ import ctypes
 import logging
 import platform
 import re
-import secrets
 import threading
 from contextlib import closing
 from functools import partial
@@ -21,8 +20,7 @@ from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
 from arpd.relay.ends.end import End
 from arpd.relay.ends.link import check_deaf_to_itself
-from arpd.relay.ends.prefix import Participants, Prefixed
-from arpd.relay.envelope import WRAP
+from arpd.relay.ends.prefix import Prefixed
 from arpd.ros.rmw import current_rmw
 from arpd.ros.runtime import (
     TWO_ENDED_PROFILE,
@@ -36,9 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from rclpy.node import Node
-
-    from arpd.model.settings import RelaySettings
     from arpd.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
@@ -87,33 +82,19 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     if relay.link_domain is not None:
         prepare_environment(TWO_ENDED_PROFILE)
         return_large_blocks()
-        with (
-            ros_node(name) as node,
-            ros_node(name, relay.link(is_far=is_far)) as link_node,
-            closing(_end(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end,
-        ):
-            serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])
+        with ros_node(name) as node, ros_node(name, relay.link(is_far=is_far)) as link_node:
+            check_middleware(current_rmw())
+            check_deaf_to_itself(node)
+            with closing(End(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end:
+                serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])
     elif is_far:
         log.info(reason := f"nothing to do: relay.link_domain is not set in {config_path}")
         notifier.status(reason)
         serve(lambda: None, _IDLE_S, ())
     else:
-        with (
-            ros_node(name) as node,
-            closing(Participants(node)) as participants,
-            closing(Prefixed(node, relay, participants=participants, on_change=notifier.status)) as prefixed,
-        ):
-            serve(prefixed.look, _LOOK_S, participants.parts)
+        with ros_node(name) as node, closing(Prefixed(node, relay, on_change=notifier.status)) as prefixed:
+            serve(prefixed.look, _LOOK_S, prefixed.participants.parts)
     return 0
-
-
-def _end(
-    node: Node, link_node: Node, settings: RelaySettings, *, is_far: bool, on_change: Callable[[str], None]
-) -> End:
-    check_middleware(current_rmw())
-    check_deaf_to_itself(node)
-    session = 1 + secrets.randbelow(WRAP - 1)
-    return End(node, link_node, settings, is_far=is_far, host=platform.node(), session=session, on_change=on_change)
 
 
 def return_large_blocks() -> None:

@@ -6,7 +6,7 @@ import struct
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from arpd.relay.envelope import Record
 
@@ -23,15 +23,16 @@ class Sets:
     Parameters
     ----------
     members : places in the group of the topics that are carried; they may change
+    on_drop : called with the number of samples of a set that was never complete
     """
 
-    def __init__(self, members: Collection[int]) -> None:
+    def __init__(self, members: Collection[int], *, on_drop: Callable[[int], None]) -> None:
         self.members = frozenset(members)
+        self._on_drop = on_drop
         self._begun: dict[tuple[int, int], dict[int, Record]] = {}
-        self.dropped = 0  # samples of sets that were never complete
 
-    def add(self, member: int, record: Record) -> list[Record] | None:
-        """Take a sample; return its set, in the order of the group, once the set is complete.
+    def add(self, member: int, record: Record) -> list[Record]:
+        """Take a sample; return its set, in the order of the group, once that is complete, and nothing before.
 
         Raises
         ------
@@ -39,23 +40,23 @@ class Sets:
             If the sample has no header stamp.
         """
         if member not in self.members:
-            return None
+            return []
         stamp = stamp_of(record.sample)
         begun = self._begun.setdefault(stamp, {})
         if member in begun:
-            self.dropped += 1  # two samples of one topic with one stamp: the newer one belongs to the set
+            self._on_drop(1)  # two samples of one topic with one stamp: the newer one belongs to the set
         begun[member] = record
         if not self.members <= begun.keys():
             if len(self._begun) > _MOST_BEGUN:
                 self._drop(next(iter(self._begun)))  # the one that was begun first: clocks may go back
-            return None
+            return []
         del self._begun[stamp]
         for older in [other for other in self._begun if other < stamp]:
             self._drop(older)
         return [begun[each] for each in sorted(self.members)]
 
     def _drop(self, stamp: tuple[int, int]) -> None:
-        self.dropped += len(self._begun.pop(stamp))
+        self._on_drop(len(self._begun.pop(stamp)))
 
 
 def stamp_of(sample: bytes) -> tuple[int, int]:

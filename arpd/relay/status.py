@@ -60,9 +60,7 @@ def status_line(
         line += f"; the link domain has other nodes ({', '.join(relay.strangers)}): only arpd's may live there"
     if second_ends:
         line += f"; ignored another {there}'s end on {', '.join(second_ends)}: one robot has one"
-    return (
-        line + _named("refused", {**leaving.refused, **entering.refused}) + _named("two types of", relay.types_differ)
-    )
+    return line + _named("refused", {**leaving.refused, **entering.refused})
 
 
 def prefix_line(*, topics: int, silent: Collection[str], refused: Mapping[str, str], ignored: Mapping[str, str]) -> str:

@@ -21,26 +21,23 @@ TOPIC = "/ghostly"
 MS = 1_000_000
 
 
-def test_a_ghost_in_use_outlives_the_look_of_another_owner(ros):
-    """An owner destroys no ghost that another one has just taken, and the last owner that lets go destroys it."""
-    nodes = GhostNodes(ros.node("end"))
-    publisher = nodes.of("/sensor", owner="topics").create_publisher(String, "/chatter", 1)
-    nodes.keep("services", set())
-    assert publisher.get_subscription_count() == 0  # a destroyed one raises InvalidHandle
-    nodes.of("/sensor", owner="services")
-    nodes.keep("topics", {"/sensor"})
-    nodes.keep("services", set())
-    publisher.get_subscription_count()
-    nodes.keep("topics", set())
-    with pytest.raises(RuntimeError, match="destruction was requested"):
-        publisher.get_subscription_count()
-    nodes.close()
+def test_a_ghost_lasts_as_long_as_it_has_an_endpoint(ros, eventually):
+    """Two writers of one node share its ghost, which goes with the last of them; without a name the end stands in."""
+    end, looker = ros.node("end"), ros.node("looker")
+    nodes = GhostNodes(end)
 
+    def made(node):
+        return node, node.create_publisher(String, TOPIC, 1)
 
-def test_the_end_stands_for_a_node_whose_name_ros_refuses(ros):
-    """A foreign middleware may have such nodes, and their topics cross all the same."""
-    end = ros.node("end")
-    assert GhostNodes(end).of("/9 lives", owner="topics") is end
+    first, second = nodes.give("/sensor", made), nodes.give("/sensor", made)
+    assert first[0] is second[0] is not end
+    first[0].destroy_publisher(first[1])
+    nodes.tidy()
+    eventually("the ghost shows", lambda: "sensor" in looker.get_node_names())
+    second[0].destroy_publisher(second[1])
+    nodes.tidy()
+    eventually("the ghost is gone", lambda: "sensor" not in looker.get_node_names())
+    assert nodes.give("/9 lives", lambda node: node) is end
 
 
 class Ghost:

@@ -9,7 +9,7 @@ from std_msgs.msg import Empty, String
 
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import RelaySettings, RelayTopic
-from arpd.relay.ends.prefix import Participants, Prefixed
+from arpd.relay.ends.prefix import Prefixed
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
@@ -31,9 +31,7 @@ def carry(lines):
     with ExitStack() as stack:
 
         def start(node, settings):
-            participants = stack.enter_context(closing(Participants(node)))
-            relay = Prefixed(node, settings, participants=participants, on_change=lines.append)
-            stack.enter_context(closing(relay))
+            relay = stack.enter_context(closing(Prefixed(node, settings, on_change=lines.append)))
             stopping = threading.Event()
             looks = threading.Thread(target=look, args=(relay, stopping), daemon=True)
             stack.callback(looks.join)
@@ -111,7 +109,11 @@ def test_a_writer_is_known_for_half_a_minute_after_it_left():
 
     def offered_at(now_s, *writers):
         surveyed.read(writers, now_s)
-        return [writer for writer in (first, second, nameless) if writer.gid.hex() in surveyed.writers]
+        return [
+            writer
+            for writer in (first, second, nameless)
+            if writer.gid.hex() in {each.gid for each in surveyed.writers}
+        ]
 
     assert offered_at(0.0, first) == [first]
     assert offered_at(100.0, second) == [second]

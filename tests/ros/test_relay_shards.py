@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import socket
-import threading
 from contextlib import closing
 from types import SimpleNamespace
 
@@ -17,7 +16,6 @@ from arpd import AdaptivePublisher
 from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.prefix import Participants, Prefixed
 from tests.ros.world import DOMAIN
-from tests.waiting import PATIENCE_S
 
 TOPICS = tuple(f"/t{k}" for k in range(110))
 NODES = ("/big_relay", "/big_relay_2")
@@ -88,24 +86,6 @@ def test_shards_carry_all_topics_as_one_relay(ros, relay, notices, tmp_path, eve
     assert not re.search("Traceback|Error|failed", log), log
 
 
-def test_a_shard_that_hangs_stands_still_for_the_watchdog(ros, stack, monkeypatch, eventually):
-    """While a write of one shard hangs, its part stands still, although the other threads go on."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    participants = stack.enter_context(closing(Participants(ros.node("slow"))))
-    nodes = [participants.of(topic, is_large=False) for topic in TOPICS]
-    publisher = AdaptivePublisher(nodes[-1], String, "/hangs", 10)
-    hangs, go_on = threading.Event(), threading.Event()
-    monkeypatch.setattr(publisher._flow.lane, "write", lambda _sample: hangs.set() or go_on.wait(PATIENCE_S))
-    first, last = participants.parts[0], participants.parts[-1]
-    publisher.pass_on(String(data=100_000 * "x"))
-    eventually("the shard hangs", hangs.is_set)
-    stands, goes_on = last(), first()
-    eventually("another thread goes on", lambda: first() > goes_on)
-    assert last() == stands
-    go_on.set()
-    eventually("the shard goes on", lambda: last() > stands)
-
-
 def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monkeypatch, eventually):
     """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
@@ -116,9 +96,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
         far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
     node = ros.node("mixed")
     settings = RelaySettings(topics=(RelayTopic(name="/image"), RelayTopic(name="/chatter")))
-    participants = stack.enter_context(closing(Participants(node)))
-    relay = Prefixed(node, settings, on_change=lambda _status: None, participants=participants)
-    stack.enter_context(closing(relay))
+    relay = stack.enter_context(closing(Prefixed(node, settings, on_change=lambda _status: None)))
 
     def carriers():
         relay.look()

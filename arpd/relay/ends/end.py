@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import platform
+import secrets
 import time
 from collections import deque
 from contextlib import suppress
@@ -22,9 +24,10 @@ from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
 from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread
-from arpd.relay.ends.link_topic import LinkOutgoing
-from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
-from arpd.relay.ends.survey import Survey
+from arpd.relay.ends.link_topic import LinkTopic
+from arpd.relay.ends.offers import EndState, decode_state, encode_state
+from arpd.relay.ends.outgoing import Outgoing
+from arpd.relay.envelope import WRAP
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line, topics_of
@@ -33,15 +36,16 @@ from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
 from arpd.ros.rcl import no_publisher_events, rcl
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection
 
     from rclpy.node import Node
 
     from arpd.model.settings import RelaySettings
+    from arpd.relay.ends.offers import TopicOffer
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain
-_PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
+_LINGER_S = 3.0  # an end that has just started wants nothing at first
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _PARTICIPANT = 24  # digits of a GUID that name its process
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -59,8 +63,6 @@ class End:
     node, link_node : its nodes in the local domain and in that of the link
     settings : the relay's settings, the same on both ends
     is_far : whether this is the base computer's end
-    host : name of this host
-    session : of this process, 32 random bits, not 0
     on_change : called with the status line at the start and whenever it changes
     """
 
@@ -71,12 +73,9 @@ class End:
         settings: RelaySettings,
         *,
         is_far: bool,
-        host: str,
-        session: int,
         on_change: Callable[[str], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._settings, self._is_far, self._on_change, self._clock = settings, is_far, on_change, clock
+        self._settings, self._is_far, self._on_change = settings, is_far, on_change
         self._node, self._link_node = node, link_node
         self._side = Side.of(settings, is_far=is_far)
         self._view, self._link_view = GraphView.of(node), GraphView.of(link_node)
@@ -87,20 +86,17 @@ class End:
         self._there = NOBODY  # the other end's state that this end follows
         self._fault = ""  # of the other end's messages
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
-        self._offers: dict[str, TopicOffer] = {}
-        self._plans: dict[str, tuple[int, int]] = {}  # DEPTH and DEADLINE that it tells, by the name on the link
-        self._plans_s = 0.0  # when it may tell others
         self._refused: dict[str, str] = {}
-        self._differ: dict[str, str] = {}  # topics whose type differs between the sides
+        session = 1 + secrets.randbelow(WRAP - 1)
         self._told = EndState(
             session=session,
             serial=0,
-            host=host,
+            host=platform.node(),
             arpd=__version__,
             link_gids=self._link_view.own.participant.hex(),
             local_gids=self._view.own.participant.hex(),
         )
-        self._begun_s = self._look_s = clock()
+        self._begun_s = self._look_s = time.monotonic()
         self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         role, other = ("base", "robot") if is_far else ("robot", "base")
         states, small, signs, calls = (
@@ -111,30 +107,14 @@ class End:
             )
             for ending, qos in (("", _LATCHED), ("/small", LINK_QOS), ("/alive", _ALIVE), ("/calls", LINK_QOS))
         )
-        self.link = LinkThread(session, state=states.publish, sign=signs.publish, together=small.publish, clock=clock)
-        # Two threads, so that what comes from the link does not wait for the nodes here; calls have a third.
-        self.outgoing_thread, self.incoming_thread = ReadingThread(), ReadingThread()
+        self.link = LinkThread(session, state=states.publish, sign=signs.publish, together=small.publish)
+        # Two reading threads, so that what comes from the link does not wait for the nodes here; calls have a third.
+        self._reading = thread = ReadingThread()
+        chunks = partial(LinkReader, link_node, link=self.link, thread=thread)
         self._nodes = GhostNodes(node)
-        self.survey = Survey(node, is_of_interest=self._is_of_interest, clock=clock)
-        self.incoming = Incoming(
-            link_node=link_node,
-            nodes=self._nodes,
-            thread=self.incoming_thread,
-            link=self.link,
-            side=self._side,
-            depths=settings.depths,
-            clock=clock,
-        )
-        self.outgoing = LinkOutgoing(
-            link_node,
-            self.link,
-            node=node,
-            survey=self.survey,
-            thread=self.outgoing_thread,
-            local_name=self._side.local_name,
-            settings=settings,
-            clock=clock,
-        )
+        self.incoming = Incoming(nodes=self._nodes, reader=chunks, side=self._side, depths=settings.depths)
+        self._incomplete = 0  # samples of groups whose set was never complete
+        self.outgoing = Outgoing(node, name_of=self._name_of, carry=self._carry, settings=settings, linger_s=_LINGER_S)
         # A topic of weight 1 in the paced queue, of which none is dropped.
         self._call_lane = Lane(calls.publish, is_kept=True)
         self.link.add(self._call_lane)
@@ -145,11 +125,9 @@ class End:
             session=session,
             side=self._side,
             timeout_s=settings.call_timeout_s,
-            clock=clock,
         )
-        reader = partial(RawReader, link_node, UInt8MultiArray, thread=self.incoming_thread)
-        chunks = partial(LinkReader, link_node, link=self.link, thread=self.incoming_thread, clock=clock)
-        self._readers: list[RawReader | LinkReader] = [
+        reader = partial(RawReader, link_node, UInt8MultiArray, thread=thread)
+        self._readers: list[RawReader] = [
             reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
             chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
@@ -160,7 +138,7 @@ class End:
         ]
         publishing = NodePublishers.of(link_node).thread
         #: None may hang.
-        self.threads = (publishing, self.link, self.outgoing_thread, self.incoming_thread, self._calls.thread)
+        self.threads = (publishing, self.link, self.outgoing.thread, thread, self._calls.thread)
         self.link.start()
 
     def close(self) -> None:
@@ -170,30 +148,42 @@ class End:
         for reader in self._readers:
             reader.destroy()
         self._calls.close()
-        self.outgoing.forget()
+        self.outgoing.close()
         self.incoming.close()
-        self.outgoing_thread.stop()
-        self.incoming_thread.stop()
-        self._nodes.close()
+        self._reading.stop()
+        self._nodes.tidy()
 
-    def _is_of_interest(self, local: str) -> bool:
+    def _name_of(self, local: str) -> str | None:
+        """Return the name on the robot of a topic that may leave this side."""
         name = self._side.robot_name(local)
-        return name is not None and (name in self._there.topics or self._side.may_leave(name))
+        return name if name is not None and self._side.may_leave(name) else None
+
+    def _carry(self, link_name: str, _type_name: str, *, is_latched: bool) -> LinkTopic:
+        return LinkTopic(
+            self._link_node,
+            link_name,
+            is_latched=is_latched,
+            thread=self.link,
+            settings=self._settings,
+            on_drop=self._on_drop,
+        )
+
+    def _on_drop(self, samples: int) -> None:
+        self._incomplete += samples
 
     # -- one tick
 
     def tick(self) -> None:
         """Follow the graph and the other end; call it ten times a second."""
-        now_s = self._clock()
+        now_s = time.monotonic()
         self._hear(now_s)
         if now_s >= self._look_s:
             self._look_s = now_s + _LOOK_S
-            self.survey.look()
-            self._offers = self._survey_offers()
+            self.outgoing.look()
             self._others = self._nodes_of_others()
             self._follow(now_s)
         self.incoming.step(is_reachable=self._partner.is_reachable(now_s))
-        self.outgoing.step(self._offers)
+        self.outgoing.step()
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
         self._report(now_s)
@@ -230,11 +220,9 @@ class End:
         else:
             self._calls.offered = state.services, state.session
         if state.session != before.session:
-            self.link.follow(state.session)
-            if state is NOBODY:
-                self.outgoing.forget()
-            else:
-                self.outgoing.meet(state.link_gids)
+            self.link.follow(state.session, state.link_gids)
+            self.outgoing.forget_latched()
+            if state is not NOBODY:
                 log.info("the other end is %s (arpd %s), session %08x", state.host, state.arpd, state.session)
         accepted, refused = {}, {}
         announced = self._announced.recent()
@@ -244,11 +232,19 @@ class End:
             else:
                 accepted[name] = offer
         self.incoming.follow(accepted, refused=refused)
-        self.outgoing.follow(frozenset() if self._is_shared else state.wants, self._offers)
-        self._note_other_types(accepted)
-        self._note_refusals(
-            {**refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused, **self._conflicts()}
-        )
+        self.outgoing.follow(frozenset() if self._is_shared else state.wants)
+        types = {
+            name: f"it has more than one type here: {', '.join(each)}"
+            for name, each in self.outgoing.several_types().items()
+        }
+        for name, offer in accepted.items():
+            if others := sorted(set(self._view.types.get(self._side.local_name(name), ())) - {offer.type_name}):
+                types[name] = f"nodes here do not hear it: it is {offer.type_name} there and {', '.join(others)} here"
+        refused = {**types, **refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused}
+        for name, reason in refused.items():
+            if self._refused.get(name) != reason:
+                log.error("cannot carry %s: %s; the other topics are not affected", name, reason)
+        self._refused = refused
 
     def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
@@ -256,7 +252,7 @@ class End:
             return "both ends are in one ROS domain"
         if not self._side.may_enter(name):
             return "the configuration of this end does not let it in; give both ends one file"
-        here = self.survey.gids(self._side.local_name(name))
+        here = {writer.gid.hex() for writer in self._view.writers(self._side.local_name(name))}
         for writer in offer.writers:
             if writer.gid in here or writer.gid[:_PARTICIPANT] in announced:
                 return (
@@ -265,48 +261,11 @@ class End:
                 )
         return ""
 
-    def _note_other_types(self, accepted: Mapping[str, TopicOffer]) -> None:
-        """Name the topics that nodes here use with another type than the other side."""
-        differ = {}
-        for name, offer in accepted.items():
-            if others := sorted(set(self._view.types.get(self._side.local_name(name), ())) - {offer.type_name}):
-                differ[name] = f"it is {offer.type_name} there and {', '.join(others)} here"
-        for name in differ.keys() - self._differ.keys():
-            log.warning("%s: %s; nodes of two types do not hear each other", name, differ[name])
-        self._differ = differ
-
-    def _conflicts(self) -> dict[str, str]:
-        return {
-            name: f"it has more than one type here: {', '.join(surveyed.types)}"
-            for local, surveyed in self.survey.topics.items()
-            if len(surveyed.types) > 1 and (name := self._side.robot_name(local)) is not None
-        }
-
-    def _survey_offers(self) -> dict[str, TopicOffer]:
-        now_s, plans = self._clock(), self.outgoing.plans
-        if plans != self._plans and now_s >= self._plans_s:
-            self._plans, self._plans_s = plans, now_s + _PLANS_S
-        offers = {}
-        for local, surveyed in self.survey.topics.items():
-            name = self._side.robot_name(local)
-            if name is not None and surveyed.writers and self._side.may_leave(name):
-                link_name = self.outgoing.link_name(name)
-                depth, deadline_ns = self._plans.get(link_name, (0, 0))
-                offers[name] = TopicOffer(
-                    type_name=surveyed.type_name,
-                    writers=self.outgoing.living(name, surveyed.writers.values()),
-                    link_name=link_name,
-                    type_hash=surveyed.type_hash,
-                    planned_depth=depth,
-                    planned_deadline_ns=deadline_ns,
-                )
-        return offers
-
     def _tell(self) -> None:
         """Send this end's state if it has changed."""
         state = replace(
             self._told,
-            topics=self._offers,
+            topics=self.outgoing.offers,
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
@@ -352,30 +311,18 @@ class End:
             fault=self._fault,
             to_base=topics_of(robot, base),
             to_robot=topics_of(base, robot),
-            received=self.incoming.received,
-            doubled=self.incoming.doubled,
-            unknown=self.incoming.unknown,
-            outdated=self.incoming.outdated,
-            link_bytes=self.link.link_bytes,
-            incomplete=self.outgoing.incomplete,
+            **self.incoming.samples,
+            link_bytes=self.link.queue.link_bytes,
+            incomplete=self._incomplete,
             calls_failed=dict(self._calls.failures),
             strangers=tuple(self._others),
-            types_differ=self._differ,
         )
 
     def _nodes_of_others(self) -> list[str]:
         self._link_view.look()
-        writers = self._link_view.writers(ON_EVERY_NODE)
-        names = sorted({writer.node.removeprefix("/") for writer in writers} - {""})
-        return [name for name in names if not name.startswith("arpd") and name != self._link_node.get_name()][
-            :MOST_NAMED
-        ]
-
-    def _note_refusals(self, refused: dict[str, str]) -> None:
-        for name, reason in refused.items():
-            if self._refused.get(name) != reason:
-                log.error("cannot carry %s: %s; the other topics are not affected", name, reason)
-        self._refused = refused
+        names = {writer.node.removeprefix("/") for writer in self._link_view.writers(ON_EVERY_NODE)}
+        names -= {"", self._link_node.get_name()}
+        return sorted(name for name in names if not name.startswith("arpd"))[:MOST_NAMED]
 
     def _hear_sign(self, sample: Sample) -> None:
         with suppress(ValueError):  # of another version, which its state says, too

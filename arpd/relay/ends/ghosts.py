@@ -9,7 +9,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import rclpy
 from rclpy.duration import Duration
@@ -41,10 +41,11 @@ _TIMING = SwapTiming(patience_s=math.inf)
 _ASK_AGAIN_S = 60.0  # a refused swap, or a reader that has left, changes what can be in force
 NO_PLAN = WriterQos(depth=0, deadline_ns=0)
 _NO_TYPE_DESCRIPTION = Parameter("start_type_description_service", value=False)
+T = TypeVar("T")
 
 
 class GhostNodes:
-    """Nodes of this process with the names of the other side's nodes, each made on first use.
+    """Nodes of this process with the names of the other side's nodes, each for as long as it has an endpoint.
 
     Parameters
     ----------
@@ -54,54 +55,38 @@ class GhostNodes:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._ghosts: dict[str, Node] = {}
-        self._kept: dict[str, set[str]] = {}
         self._lock = threading.Lock()
 
-    def of(self, name: str, *, owner: str) -> Node:
-        """Return the ghost of the node with this fully qualified name; for any thread.
+    def give(self, name: str, make: Callable[[Node], T]) -> T:
+        """Make an endpoint in the ghost of the node with this fully qualified name; for any thread."""
+        with self._lock:
+            return make(self._of(name))
 
-        Parameters
-        ----------
-        owner : keeps it from now on, so that no other thread destroys it before the caller's next `keep`
-        """
+    def tidy(self) -> None:
+        """Destroy the ghosts that have no endpoint any more."""
+        with self._lock:
+            for name, node in [*self._ghosts.items()]:
+                if len([*node.publishers, *node.services]) == 1:  # that of /parameter_events
+                    self._ghosts.pop(name).destroy_node()
+
+    def _of(self, name: str) -> Node:
         if name in {"", self._node.get_fully_qualified_name()}:
             return self._node
-        with self._lock:
-            self._kept.setdefault(owner, set()).add(name)
-            if name not in self._ghosts:
-                namespace, _, base = name.rpartition("/")
-                try:
-                    self._ghosts[name] = rclpy.create_node(
-                        base,
-                        namespace=namespace or "/",
-                        context=self._node.context,
-                        use_global_arguments=False,
-                        enable_rosout=False,
-                        start_parameter_services=False,
-                        parameter_overrides=[_NO_TYPE_DESCRIPTION],
-                    )
-                except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
-                    return self._node
-            return self._ghosts[name]
-
-    def keep(self, owner: str, names: set[str]) -> None:
-        """Destroy the ghosts that no owner keeps; the caller has destroyed their endpoints.
-
-        Parameters
-        ----------
-        owner : keeps these ghosts, instead of those it kept before
-        names : fully qualified names
-        """
-        with self._lock:
-            self._kept[owner] = set(names)
-            for name in self._ghosts.keys() - set().union(*self._kept.values()):
-                self._ghosts.pop(name).destroy_node()
-
-    def close(self) -> None:
-        """Destroy all ghosts."""
-        with self._lock:
-            while self._ghosts:
-                self._ghosts.popitem()[1].destroy_node()
+        if name not in self._ghosts:
+            namespace, _, base = name.rpartition("/")
+            try:
+                self._ghosts[name] = rclpy.create_node(
+                    base,
+                    namespace=namespace or "/",
+                    context=self._node.context,
+                    use_global_arguments=False,
+                    enable_rosout=False,
+                    start_parameter_services=False,
+                    parameter_overrides=[_NO_TYPE_DESCRIPTION],
+                )
+            except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
+                return self._node
+        return self._ghosts[name]
 
 
 class GhostWriter:
@@ -133,22 +118,17 @@ class GhostWriter:
         *,
         depth: int,
         planned: WriterQos = NO_PLAN,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.offer = offer
-        self._node = node
-        self._msg_type = msg_type
-        self._topic = topic
-        self._depth = depth
+        self.offer, self._node, self._depth = offer, node, depth
+        self._new_publisher = partial(node.create_publisher, msg_type, topic)
         self._planned = NO_PLAN if offer.is_latched else planned
-        self._clock = clock
         self._requests = Requests(node, topic)
         # The lock of `Incoming` lets one thread write.
         self._swap = WriterSwap(create=self._create, on_result=self._on_result, qos=self._wanted(), timing=_TIMING)
         self._swap.loss_ratio = 0.0  # its readers are on this host
-        self.due_s = math.inf if self._planned == NO_PLAN else clock()  # when to `swap`
+        self.due_s = math.inf if self._planned == NO_PLAN else time.monotonic()  # when to `swap`
         self._refusal = ""
-        self._made_s = clock()
+        self._made_s = time.monotonic()
         self._is_found = False
         self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
         self._last = 0  # number of the newest sample
@@ -168,7 +148,7 @@ class GhostWriter:
             return True
         self._held.append(record.sample)
         if self._swap.awaits_silence:  # the sample before is most likely acknowledged just now
-            self._swap.step(self._clock())
+            self._swap.step(time.monotonic())
         self._release(_PER_WRITE)
         return True
 
@@ -177,11 +157,11 @@ class GhostWriter:
         # It may be alive now. The ghost stays in its node, whatever an end that has just started calls that.
         self.offer, self.gone_s = replace(offer, node=self.offer.node), math.inf
         if planned != self._planned and not self.offer.is_latched:
-            self._planned, self.due_s = planned, self._clock()
+            self._planned, self.due_s = planned, time.monotonic()
 
     def swap(self) -> None:
         """Ask for the plan's QoS, which steps put in force."""
-        self.due_s = self._clock() + _ASK_AGAIN_S
+        self.due_s = time.monotonic() + _ASK_AGAIN_S
         wanted = self._wanted()
         if self._requests.lost(self._swap.qos.deadline_ns, wanted.deadline_ns):
             wanted = replace(wanted, deadline_ns=self._swap.qos.deadline_ns)
@@ -197,7 +177,7 @@ class GhostWriter:
         if self.offer.is_alive and is_reachable:
             self._swap.current.publisher.assert_liveliness()
         if self._swap.is_busy:
-            self._swap.step(self._clock())
+            self._swap.step(time.monotonic())
         self._release(_PER_STEP)
 
     def destroy(self) -> None:
@@ -207,12 +187,12 @@ class GhostWriter:
     def _release(self, most: int) -> None:
         """Write the samples that it holds, all at once when its readers have just found it."""
         if not self._is_found:
-            self._is_found = self.matched() > 0 or self._clock() - self._made_s > _MATCH_S
+            self._is_found = self.matched() > 0 or time.monotonic() - self._made_s > _MATCH_S
             most = _MOST_HELD if self._is_found else 0
         while most and self._held and not self._swap.is_holding:
             most -= 1
             self._swap.current.publish(self._held.popleft())
-            self._swap.wrote(self._clock())
+            self._swap.wrote(time.monotonic())
 
     def _wanted(self) -> WriterQos:
         deadlines = [ns for ns in (self._planned.deadline_ns, self.offer.deadline_ns) if ns]
@@ -230,7 +210,7 @@ class GhostWriter:
         )
         return RosWriter(
             node=self._node,
-            create=partial(self._node.create_publisher, self._msg_type, self._topic, profile),
+            create=partial(self._new_publisher, profile),
             event_callbacks=None,
             requests=self._requests,
             in_force=lambda: self._swap.current,

@@ -5,31 +5,27 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import NameValidationException
 
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
-from arpd.relay.ends.link import LinkReader
 from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
-    from rclpy.node import Node
-
-    from arpd.relay.ends.link import LinkThread
+    from arpd.relay.ends.link import LinkReader
     from arpd.relay.ends.offers import TopicOffer, WriterOffer
     from arpd.relay.selection import Side
-    from arpd.ros.raw_reader import ReadingThread
 
-_OWNER = "topics"  # of ghost nodes
 _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reader may just be restarting
 # Samples of a writer that is gone may still be on their way, and an end that restarts knows no writer at first.
 _GRACE_S = 5.0
@@ -42,11 +38,10 @@ _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock,
 
 
 @dataclass(slots=True)
-class _Topic:
-    """One topic that the other side offers; its ghosts by the GUIDs of their originals."""
-
+class _Ghost:
+    writer: GhostWriter
+    topic: str
     offer: TopicOffer
-    ghosts: dict[str, GhostWriter] = field(default_factory=dict)
     read_s: float = -math.inf  # when somebody read it last
 
 
@@ -55,10 +50,8 @@ class Incoming:
 
     Parameters
     ----------
-    link_node : the end's node in the domain of the link
     nodes : ghosts of the other side's nodes
-    thread : takes the samples
-    link : accounts for the chunks
+    reader : opens a reader of this topic on the link, which passes on what it reads
     side : names on this side
     depths : least KEEP_LAST depth of ghosts, by topic
 
@@ -66,31 +59,26 @@ class Incoming:
     ----------
     refused : topics that cannot be carried, and why
     wants : topics that somebody reads here
-    received, doubled, unknown, outdated : samples, as `RelaySummary` has them
+    samples : as `RelaySummary` has them
     """
 
     def __init__(
         self,
         *,
-        link_node: Node,
         nodes: GhostNodes,
-        thread: ReadingThread,
-        link: LinkThread,
+        reader: Callable[..., LinkReader],
         side: Side,
         depths: Mapping[str, int],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link_node, self._nodes, self._thread, self._link = link_node, nodes, thread, link
-        self._side, self._depths, self._clock = side, depths, clock
-        self._lock = threading.Lock()  # guards the topics: samples come in the reading thread
-        self._topics: dict[str, _Topic] = {}
-        self._ghosts: dict[bytes, GhostWriter] = {}  # by what stands for their originals in samples
+        self._nodes, self._reader, self._side, self._depths = nodes, reader, side, depths
+        self._lock = threading.Lock()  # guards the ghosts: samples come in the reading thread
+        self._ghosts: dict[bytes, _Ghost] = {}  # by what stands for their originals in samples
         self._held: deque[tuple[Record, float]] = deque(maxlen=_MOST_HELD)  # of writers that no state has named yet
         self._late: dict[bytes, tuple[Record, float]] = {}  # by writer: the last, and until when a newer one may come
         self._readers: dict[str, LinkReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
         self.wants: frozenset[str] = frozenset()
-        self.received = self.doubled = self.unknown = self.outdated = 0
+        self.samples = Counter(received=0, doubled=0, unknown=0, outdated=0)
 
     def follow(self, offers: Mapping[str, TopicOffer], *, refused: Collection[str] = frozenset()) -> None:
         """Make the ghosts of what is offered now, and remove those of what no longer is.
@@ -100,61 +88,65 @@ class Incoming:
         offers : topics of the other side that enter here
         refused : topics that do not enter; their ghosts go at once, because a reader would hear samples twice
         """
-        now_s = self._clock()
+        now_s = time.monotonic()
+        kinds: dict[str, Any] = {}
+        self.refused = {}
+        for name, offer in offers.items():
+            try:
+                kinds[name] = _class_of(offer)
+            except UnknownTypeError as fault:
+                self.refused[name] = str(fault)
         with self._lock:
-            self.refused = {}
-            for name in self._topics.keys() & set(refused):
-                self._drop(name)
-            for name, offer in offers.items():
+            for key, ghost in [*self._ghosts.items()]:
+                name, offer = ghost.topic, offers.get(ghost.topic, ghost.offer)
+                ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)  # unless it is among those below
+                if name in refused or name in self.refused or offer.type_name != ghost.offer.type_name:
+                    self._remove(key)
+            for name, kind in kinds.items():
                 try:
-                    self._follow(name, offer)
-                except (UnknownTypeError, NameValidationException, RuntimeError, ValueError) as fault:
+                    for writer in offers[name].writers:
+                        self._follow(name, offers[name], writer, kind)
+                except (NameValidationException, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
-            for name, topic in list(self._topics.items()):
-                present = {writer.gid for writer in offers[name].writers} if name in offers else set()
-                for gid in topic.ghosts.keys() - present:
-                    topic.ghosts[gid].gone_s = min(topic.ghosts[gid].gone_s, now_s)
             self._retire(now_s)
-            self._write_held(now_s)
+            for _ in range(len(self._held)):
+                self._deliver(*self._held.popleft(), now_s)
 
     def step(self, *, is_reachable: bool) -> None:
         """Look for readers, and open or close what they need."""
-        now_s = self._clock()
-        wants, links = set(), set()
+        now_s = time.monotonic()
         with self._lock:
-            for name, topic in self._topics.items():
-                for ghost in topic.ghosts.values():
-                    ghost.step(is_reachable=is_reachable)
-                    if ghost.matched():
-                        topic.read_s = now_s
-                if now_s - topic.read_s < _LINGER_S:
-                    wants.add(name)
-                    links.add(topic.offer.link_name)
+            for ghost in self._ghosts.values():
+                ghost.writer.step(is_reachable=is_reachable)
+                if ghost.writer.matched():
+                    ghost.read_s = now_s
+            read = [ghost for ghost in self._ghosts.values() if now_s - ghost.read_s < _LINGER_S]
             for writer in [writer for writer, (_, until_s) in self._late.items() if now_s >= until_s]:
                 self._write(self._late.pop(writer)[0])
             self._retire(now_s)
-            swap_some(self._ghosts.values(), now_s)
-            nodes = {self._side.local_name(ghost.offer.node) for ghost in self._ghosts.values()}
-        self._nodes.keep(_OWNER, nodes)
+            due = [ghost.writer for ghost in self._ghosts.values() if now_s >= ghost.writer.due_s]
+            for each in due[:_MOST_SWAPS]:
+                with suppress(ValueError):  # a reader here has a name or QoS that ROS cannot express
+                    each.swap()
+        self._nodes.tidy()
+        links = {ghost.offer.link_name for ghost in read}
         for name in links - self._readers.keys():
-            self._readers[name] = LinkReader(
-                self._link_node, name, link=self._link, thread=self._thread, deliver=self.deliver, clock=self._clock
-            )
+            self._readers[name] = self._reader(name, deliver=self.deliver)
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
-        self.wants = frozenset(wants)
+        self.wants = frozenset(ghost.topic for ghost in read)
 
     def deliver(self, message: bytes, chunk: Chunk, age_s: float) -> None:
         """Write the samples of a message; ValueError = it has none."""
-        now_s, is_late = self._clock(), age_s > _OLD_S and not chunk.is_kept
+        now_s, is_late = time.monotonic(), age_s > _OLD_S and not chunk.is_kept
         with self._lock:
             for record in unpack(message):
                 if (ghost := self._ghosts.get(record.writer)) is None:
                     self._held.append((record, now_s))
-                elif 0 < ghost.offer.lifespan_ns < age_s * 1e9:
-                    self.outdated += 1
+                elif 0 < ghost.writer.offer.lifespan_ns < age_s * 1e9:
+                    self.samples["outdated"] += 1
                 else:
-                    self.outdated += self._late.pop(record.writer, None) is not None
+                    self.samples["outdated"] += self._late.pop(record.writer, None) is not None
                     if is_late:
                         self._late[record.writer] = record, now_s + _NEWER_S
                     else:
@@ -165,58 +157,41 @@ class Incoming:
         for reader in self._readers.values():
             reader.destroy()
         with self._lock:
-            for name in [*self._topics]:
-                self._drop(name)
+            for key in [*self._ghosts]:
+                self._remove(key)
+
+    def _deliver(self, record: Record, at_s: float, now_s: float) -> None:
+        """Write a sample that was held if its writer is known now, and forget it after a while."""
+        if record.writer in self._ghosts:
+            self._write(record)
+        elif now_s - at_s < _HELD_S:
+            self._held.append((record, at_s))
+        else:
+            self.samples["unknown"] += 1
 
     def _write(self, record: Record) -> None:
         ghost = self._ghosts.get(record.writer)
-        if ghost is not None and ghost.write(record):
-            self.received += 1
-        else:
-            self.doubled += 1
+        self.samples["received" if ghost is not None and ghost.writer.write(record) else "doubled"] += 1
 
-    def _write_held(self, now_s: float) -> None:
-        """Write the samples of writers that are known now; forget those that stay unknown."""
-        for _ in range(len(self._held)):
-            record, at_s = self._held.popleft()
-            if record.writer in self._ghosts:
-                self._write(record)
-            elif now_s - at_s < _HELD_S:
-                self._held.append((record, at_s))
-            else:
-                self.unknown += 1
-
-    def _follow(self, name: str, offer: TopicOffer) -> None:
-        topic = self._topics.get(name)
-        kind = message_class(offer.type_name)
-        here = definition_hash(kind) if offer.type_hash else ""
-        is_other = here != offer.type_hash
-        if topic is not None and (is_other or topic.offer.type_name != offer.type_name):
-            self._drop(name)
-            topic = None
-        if is_other:
-            raise UnknownTypeError(
-                f"{offer.type_name} has another definition here ({here[:_HASH]}...) than there "
-                f"({offer.type_hash[:_HASH]}...); build its package from one source on both ends"
-            )
-        if topic is None:
-            topic = self._topics[name] = _Topic(offer)
-        topic.offer = offer
+    def _follow(self, name: str, offer: TopicOffer, writer: WriterOffer, kind: Any) -> None:
+        key = writer_key(writer.gid)
         planned = WriterQos(depth=offer.planned_depth, deadline_ns=offer.planned_deadline_ns)
-        for writer in offer.writers:
-            ghost = topic.ghosts.get(writer.gid)
-            if ghost is None:
-                ghost = topic.ghosts[writer.gid] = GhostWriter(
-                    self._nodes.of(self._side.local_name(writer.node), owner=_OWNER),
-                    kind,
-                    self._side.local_name(name),
-                    writer,
-                    depth=self._depth(name, writer, kind),
+        if (ghost := self._ghosts.get(key)) is None:
+            local, depth = self._side.local_name(name), self._depth(name, writer, kind)
+            made = self._nodes.give(
+                self._side.local_name(writer.node),
+                partial(
+                    GhostWriter,
+                    msg_type=kind,
+                    topic=local,
+                    offer=writer,
+                    depth=depth,
                     planned=planned,
-                    clock=self._clock,
-                )
-                self._ghosts[writer_key(writer.gid)] = ghost
-            ghost.follow(writer, planned)
+                ),
+            )
+            ghost = self._ghosts[key] = _Ghost(made, name, offer)
+        ghost.offer = offer
+        ghost.writer.follow(writer, planned)
 
     def _depth(self, name: str, writer: WriterOffer, kind: type) -> int:
         if writer.is_latched:  # all that late readers get: of a map the newest
@@ -225,24 +200,20 @@ class Incoming:
 
     def _retire(self, now_s: float) -> None:
         """Remove the ghosts of writers that have been gone for a while."""
-        for name, topic in [*self._topics.items()]:
-            for gid in [gid for gid, ghost in topic.ghosts.items() if now_s - ghost.gone_s >= _GRACE_S]:
-                self._remove(topic, gid)
-            if not topic.ghosts:
-                del self._topics[name]
+        for key in [key for key, ghost in self._ghosts.items() if now_s - ghost.writer.gone_s >= _GRACE_S]:
+            self._remove(key)
 
-    def _drop(self, name: str) -> None:
-        topic = self._topics.pop(name)
-        for gid in [*topic.ghosts]:
-            self._remove(topic, gid)
-
-    def _remove(self, topic: _Topic, gid: str) -> None:
-        self._ghosts.pop(writer_key(gid), None)
-        topic.ghosts.pop(gid).destroy()
+    def _remove(self, key: bytes) -> None:
+        self._ghosts.pop(key).writer.destroy()
 
 
-def swap_some(ghosts: Iterable[GhostWriter], now_s: float) -> None:
-    """Let some of the ghosts that are due ask for the plan's QoS."""
-    for ghost in [ghost for ghost in ghosts if now_s >= ghost.due_s][:_MOST_SWAPS]:
-        with suppress(ValueError):  # a reader here has a name or QoS that ROS cannot express
-            ghost.swap()
+def _class_of(offer: TopicOffer) -> Any:
+    """Return the message class of an offered topic; UnknownTypeError = there is none, or another one, here."""
+    kind = message_class(offer.type_name)
+    here = definition_hash(kind) if offer.type_hash else ""
+    if here != offer.type_hash:
+        raise UnknownTypeError(
+            f"{offer.type_name} has another definition here ({here[:_HASH]}...) than there "
+            f"({offer.type_hash[:_HASH]}...); build its package from one source on both ends"
+        )
+    return kind

@@ -41,7 +41,11 @@ class LinkThread(WritingThread):
     state : writes a state of the end, reliably
     sign : writes one sign of life, best effort
     together : writes small messages that leave together, reliably
-    clock : monotonic clock (s)
+
+    Attributes
+    ----------
+    queue : what waits, and the account of what is on its way
+    partner_gids : first bytes of the GUIDs of the other end's readers, in hexadecimal digits; empty = not known
     """
 
     def __init__(
@@ -51,11 +55,11 @@ class LinkThread(WritingThread):
         state: Callable[[bytes], None],
         sign: Callable[[bytes], None],
         together: Callable[[bytes], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._link = LinkQueue(session, clock(), together=together)
-        super().__init__(self._link, name="arpd-link", clock=clock)
+        self.queue = LinkQueue(session, time.monotonic(), together=together)
+        super().__init__(self.queue, name="arpd-link")
         self._write_state, self._write_sign = state, sign
+        self.partner_gids = ""
         self._state: bytes | None = None  # that waits; a newer one takes its place
 
     def is_sending(self, lane: Lane, source: Hashable) -> bool:
@@ -69,51 +73,42 @@ class LinkThread(WritingThread):
             self._state = state
             self._wake(0.0)
 
-    def follow(self, partner: int) -> None:
-        """Take the session of the other end, 0 = there is none."""
+    def follow(self, partner: int, gids: str) -> None:
+        """Take the session of the other end, 0 = there is none, and the first bytes of its GUIDs."""
+        self.partner_gids = gids
         with self._changed:
-            if self._link.follow(partner, self._clock()):
+            if self.queue.follow(partner, self._clock()):
                 self._wake(0.0)
 
     def arrived(self, sample: bytes, *, is_together: bool = False) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; `LinkQueue.arrived` says more."""
         with self._changed:
-            arrived = self._link.arrived(sample, self._clock(), is_together=is_together)
-            self._wake(self._link.sign_s)
+            arrived = self.queue.arrived(sample, self._clock(), is_together=is_together)
+            self._wake(self.queue.sign_s)
         return arrived
 
     def hear(self, sign: bytes) -> int:
         """Take a sign of life of the other end; `LinkQueue.hear` says more."""
         with self._changed:
-            session = self._link.hear(sign, self._clock())
+            session = self.queue.hear(sign, self._clock())
             self._wake(0.0)
         return session
 
-    @property
-    def held_s(self) -> float:
-        """Time in which something waited for receipts (s)."""
-        return self._link.held_s
-
-    @property
-    def link_bytes(self) -> int:
-        """What both ends' chunks took of the link."""
-        return self._link.link_bytes
-
     def _choose(self, now_s: float) -> Callable[[], object] | None:
-        if (sign := self._link.take_sign(now_s)) is not None:
+        if (sign := self.queue.take_sign(now_s)) is not None:
             return partial(self._write_sign, wrap(sign))
-        if self._state is not None and not self._link.flight.is_out(now_s):
+        if self._state is not None and not self.queue.flight.is_out(now_s):
             state, self._state = self._state, None
             return partial(self._write_state, wrap(state))
         act = super()._choose(now_s)
-        self._link.note_held(now_s)
+        self.queue.note_held(now_s)
         return act
 
     def _due_s(self, now_s: float) -> float:
-        return min(self._link.sign_s, super()._due_s(now_s))
+        return min(self.queue.sign_s, super()._due_s(now_s))
 
 
-class LinkReader:
+class LinkReader(RawReader):
     """Puts the messages of one topic of the other end together.
 
     Parameters
@@ -136,26 +131,20 @@ class LinkReader:
         thread: ReadingThread,
         deliver: Callable[[bytes, Chunk, float], None],
         is_together: bool = False,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._topic, self._link, self._deliver, self._is_together = topic, link, deliver, is_together
-        self._clock = clock
+        self._account, self._pass_on, self._is_together = link, deliver, is_together
         self._assembly = Assembly()
         self._logged = OncePerMinute()
-        self._reader = RawReader(node, UInt8MultiArray, topic, LINK_QOS, deliver=self._take, thread=thread)
-
-    def destroy(self) -> None:
-        """Destroy the reader."""
-        self._reader.destroy()
+        super().__init__(node, UInt8MultiArray, topic, LINK_QOS, deliver=self._take, thread=thread)
 
     def _take(self, sample: Sample) -> None:
         try:
-            chunk, age_s = self._link.arrived(sample.data, is_together=self._is_together)
+            chunk, age_s = self._account.arrived(sample.data, is_together=self._is_together)
             if (message := self._assembly.add(chunk)) is not None:
-                self._deliver(message, chunk, age_s)
+                self._pass_on(message, chunk, age_s)
         except ValueError as fault:
-            if self._logged.take("", self._clock()):
-                log.warning("ignored a message of %s: %s (logged once a minute)", self._topic, fault)
+            if self._logged.take("", time.monotonic()):
+                log.warning("ignored a message of %s: %s (logged once a minute)", self.name, fault)
 
 
 def check_deaf_to_itself(node: Node) -> None:

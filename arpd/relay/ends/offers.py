@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar
+from typing import Annotated, TypeAlias, TypeVar
 
 from pydantic import FailFast, Field, TypeAdapter, ValidationError
 
@@ -15,6 +15,7 @@ VERSION = 6
 _STRANGE = "its message is not understood"
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 T = TypeVar("T")
+WriterClass: TypeAlias = tuple[bool, bool, int]  # of writers that one reader hears
 _Period = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 # Each fault in a message is written down, so it may not have too many.
 _ByName = Annotated[Mapping[str, T], Field(max_length=20_000)]
@@ -42,6 +43,11 @@ class WriterOffer:
     lease_ns: _Period = 0
     is_manual: bool = False
     is_alive: bool = False
+
+    @property
+    def kind(self) -> WriterClass:
+        """Its reliability and durability, and its lease if it asserts its liveliness by topic, else 0 (ns)."""
+        return self.is_reliable, self.is_latched, self.lease_ns if self.is_manual else 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

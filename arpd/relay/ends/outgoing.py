@@ -3,119 +3,161 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from arpd.relay.ends.offers import TopicOffer
+from arpd.relay.ends.survey import Survey
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
+from arpd.ros.raw_reader import ReadingThread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection
 
     from rclpy.node import Node
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.offers import TopicOffer
-    from arpd.relay.ends.survey import Survey, Writer
-    from arpd.ros.raw_reader import ReadingThread, Sample
+    from arpd.relay.ends.offers import WriterOffer
+    from arpd.relay.ends.survey import Surveyed
+    from arpd.ros.raw_reader import Sample
+
+_PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 
 
-class Publisher(Protocol):
-    """What the samples of a topic, or of a group of topics, are sent on by."""
-
-    def send(self, topic: str, writer: Writer, sample: Sample) -> None:
-        """Send a sample on, in the reading thread."""
-
-    def destroy(self) -> None:
-        """Send no more."""
-
-
-P = TypeVar("P", bound=Publisher)
-
-
-@dataclass(slots=True)
-class Carried(Generic[P]):
-    """One topic, or one group of topics.
+class Carried:
+    """One topic, or one group of topics, that is carried; its heirs say by what.
 
     Parameters
     ----------
-    publisher : what it is sent on by
     is_latched : whether a writer was latched when it was made
+
+    Attributes
+    ----------
+    planned : DEPTH and DEADLINE that the daemon has planned for it, 0 = none (samples, ns)
     wanted, wanted_s : its topics that are wanted, and when one was last (s)
     types : of its topics
     readers : of its topics
     """
 
-    publisher: P
-    is_latched: bool
-    wanted_s: float
-    wanted: set[str] = field(default_factory=set)
-    types: dict[str, str] = field(default_factory=dict)
-    readers: dict[str, TopicReaders] = field(default_factory=dict)
+    def __init__(self, *, is_latched: bool) -> None:
+        self.is_latched = is_latched
+        self.planned = 0, 0
+        self.wanted: set[str] = set()
+        self.wanted_s = 0.0
+        self.types: dict[str, str] = {}
+        self.readers: dict[str, TopicReaders] = {}
 
     def close_readers(self, topics: Collection[str]) -> None:
         """Destroy the readers of these topics."""
         for topic in self.readers.keys() & topics:
             self.readers.pop(topic).destroy()
 
+    def is_heard(self) -> bool:
+        """Return whether its topics may be read: a history would be lost before its own reader is there."""
+        return True
 
-class Outgoing(Generic[P]):
+    def check(self, kind: Any) -> None:
+        """Raise ValueError where samples of this message class cannot be sent on."""
+
+    def expect(self, topics: Collection[str]) -> None:
+        """Take note that samples of these topics will come, and of no other."""
+
+    def send(self, topic: str, writer: WriterOffer, sample: Sample) -> None:
+        """Send a sample on, in the reading thread."""
+        raise NotImplementedError
+
+    def destroy(self) -> None:
+        """Send no more."""
+        raise NotImplementedError
+
+
+class Outgoing:
     """Carries the wanted topics while they are offered here; those that cannot be carried are named, and others go on.
-
-    What a sample crosses by is for its heirs to say.
 
     Parameters
     ----------
-    node : reads
-    survey : topics of this side and their writers
-    thread : takes the samples
-    local_name : returns the local name of a topic
+    node : looks at the graph and reads
+    name_of : returns the name by which a topic is offered and wanted, None = it is not; from its local name
+    carry : makes what carries the topics of this name on the link, which are of this type at first; whether one is
+        latched
     settings : groups, overflow and depths
     linger_s : how long a topic stays that nobody wants, or offers, any more (s)
 
     Attributes
     ----------
+    offers : topics of this side that may be carried
+    carried : those that are, by the name on the link
     refused : wanted topics that cannot be carried, and why
+    thread : takes the samples
     """
 
     def __init__(
         self,
-        *,
         node: Node,
-        survey: Survey,
-        thread: ReadingThread,
-        local_name: Callable[[str], str],
+        *,
+        name_of: Callable[[str], str | None],
+        carry: Callable[..., Carried],
         settings: RelaySettings,
         linger_s: float,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._node, self._survey, self._thread, self._local_name = node, survey, thread, local_name
-        self._settings, self._linger_s, self._clock = settings, linger_s, clock
+        self._node, self._name_of, self._carry, self._settings = node, name_of, carry, settings
+        self._linger_s = linger_s
         self._groups = {topic: group.name for group in settings.groups for topic in group.topics}
-        self._carried: dict[str, Carried[P]] = {}  # by the name on the link
+        self._local: dict[str, str] = {}  # local names of the topics
+        self._planned: dict[str, tuple[int, int]] = {}  # that it tells, by the name on the link
+        self._planned_s = 0.0  # when it may tell others
+        self._survey = Survey(node, is_of_interest=lambda local: name_of(local) is not None)
+        self.thread = ReadingThread()
+        self.offers: dict[str, TopicOffer] = {}
+        self.carried: dict[str, Carried] = {}
         self.refused: dict[str, str] = {}
 
-    def link_name(self, topic: str) -> str:
-        """Return the name under which a topic is carried: its group's, or its own."""
-        return self._groups.get(topic, topic)
+    def look(self) -> None:
+        """Follow the graph."""
+        self._survey.look()
+        self._local = {name: local for local in self._survey.topics if (name := self._name_of(local)) is not None}
+        planned = {name: each.planned for name, each in self.carried.items() if any(each.planned)}
+        if planned != self._planned and (now_s := time.monotonic()) >= self._planned_s:
+            self._planned, self._planned_s = planned, now_s + _PLANS_S
+        surveyed = {name: self._survey.topics[local] for name, local in self._local.items()}
+        self.offers = {name: self._offer(name, found) for name, found in surveyed.items() if found.writers}
 
-    def follow(self, wants: Collection[str], offers: Mapping[str, TopicOffer]) -> None:
+    def _offer(self, name: str, found: Surveyed) -> TopicOffer:
+        link_name = self._groups.get(name, name)
+        depth, deadline_ns = self._planned.get(link_name, (0, 0))
+        writers = found.writers
+        if (carried := self.carried.get(link_name)) is not None and (readers := carried.readers.get(name)) is not None:
+            writers = tuple(replace(each, is_alive=each.is_manual and readers.are_alive(each)) for each in writers)
+        return TopicOffer(
+            type_name=found.type_name,
+            type_hash=found.type_hash,
+            writers=writers,
+            link_name=link_name,
+            planned_depth=depth,
+            planned_deadline_ns=deadline_ns,
+        )
+
+    def several_types(self) -> dict[str, tuple[str, ...]]:
+        """Return the types of the topics that have more than one."""
+        types = {name: self._survey.topics[local].types for name, local in self._local.items()}
+        return {name: each for name, each in types.items() if len(each) > 1}
+
+    def follow(self, wants: Collection[str]) -> None:
         """Carry the wanted topics that are offered, and no other."""
         wanted: dict[str, set[str]] = {}
-        for topic in offers.keys() & wants:
-            wanted.setdefault(self.link_name(topic), set()).add(topic)
-        now_s = self._clock()
-        for link_name, known in list(self._carried.items()):
-            if link_name in wanted:
-                known.wanted_s = now_s
-            elif now_s - known.wanted_s > self._linger_s:
+        for topic in self.offers.keys() & wants:
+            wanted.setdefault(self.offers[topic].link_name, set()).add(topic)
+        now_s = time.monotonic()
+        for link_name, known in list(self.carried.items()):
+            if link_name not in wanted and now_s - known.wanted_s > self._linger_s:
                 self._drop(link_name)
         self.refused = {}
         for link_name, topics in wanted.items():
-            is_latched = any(writer.is_latched for topic in topics for writer in offers[topic].writers)
-            types = {topic: offers[topic].type_name for topic in topics}
-            carried = self._carried.get(link_name)
+            is_latched = any(writer.is_latched for topic in topics for writer in self.offers[topic].writers)
+            types = {topic: self.offers[topic].type_name for topic in topics}
+            carried = self.carried.get(link_name)
             if carried is not None and (
                 (is_latched and not carried.is_latched)
                 or any(types.get(topic, type_name) != type_name for topic, type_name in carried.types.items())
@@ -126,59 +168,62 @@ class Outgoing(Generic[P]):
                 continue
             try:
                 if carried is None:
-                    publisher = self._publisher(link_name, types[min(topics)], is_latched=is_latched)
-                    carried = self._carried[link_name] = Carried(publisher, is_latched, now_s)
+                    carried = self.carried[link_name] = self._carry(
+                        link_name, types[min(topics)], is_latched=is_latched
+                    )
             except (UnknownTypeError, RuntimeError, ValueError) as fault:
                 self.refused |= dict.fromkeys(topics, str(fault))
             else:
                 carried.close_readers(carried.wanted - topics)
-                carried.wanted = topics
-        self.step(offers)
+                carried.wanted, carried.wanted_s = topics, now_s
+        self.step()
 
-    def step(self, offers: Mapping[str, TopicOffer]) -> None:
-        """Open the readers of topics whose publisher has found its reader: a history would be lost otherwise."""
-        for carried in self._carried.values():
-            if carried.readers or self._is_heard(carried.publisher):
-                for topic in (carried.wanted & offers.keys()) - self.refused.keys():
-                    self._read(carried, topic, offers[topic])
+    def step(self) -> None:
+        """Open the readers of topics that may be read."""
+        for carried in self.carried.values():
+            if carried.readers or carried.is_heard():
+                for topic in (carried.wanted & self.offers.keys()) - self.refused.keys():
+                    self._read(carried, topic, self.offers[topic])
+            carried.expect(carried.wanted - self.refused.keys())
 
-    def forget(self, link_names: Collection[str] | None = None) -> None:
-        """Carry none of these at once, or nothing at all."""
-        for link_name in [*self._carried] if link_names is None else self._carried.keys() & link_names:
+    def forget(self, link_names: Collection[str]) -> None:
+        """Carry none of these at once."""
+        for link_name in self.carried.keys() & link_names:
             self._drop(link_name)
 
-    def _read(self, carried: Carried[P], topic: str, offer: TopicOffer) -> None:
+    def forget_latched(self) -> None:
+        """Begin again with latched topics: the other end is another process now, and lacks their histories.
+
+        The other topics stay as they are, because the new process may hear them already: it asks for what it reads a
+        moment after it has begun to.
+        """
+        self.forget([link_name for link_name, carried in self.carried.items() if carried.is_latched])
+
+    def close(self) -> None:
+        """Carry nothing any more."""
+        self.forget([*self.carried])
+        self.thread.stop()
+
+    def _read(self, carried: Carried, topic: str, offer: TopicOffer) -> None:
         try:
             if topic not in carried.readers:
                 carried.types[topic] = offer.type_name
                 kind = message_class(offer.type_name)
-                self._check(carried, kind)
+                carried.check(kind)
                 carried.readers[topic] = TopicReaders(
                     self._node,
-                    self._local_name(topic),
+                    self._local[topic],
                     kind,
                     survey=self._survey,
-                    thread=self._thread,
-                    deliver=partial(carried.publisher.send, topic),
+                    thread=self.thread,
+                    deliver=partial(carried.send, topic),
                     depth=self._settings.depths.get(topic),
-                    clock=self._clock,
                 )
             carried.readers[topic].follow(offer.writers)
         except (UnknownTypeError, RuntimeError, ValueError) as fault:
             self.refused[topic] = str(fault)
 
     def _drop(self, link_name: str) -> None:
-        carried = self._carried.pop(link_name)
+        carried = self.carried.pop(link_name)
         carried.close_readers(carried.wanted)
-        carried.publisher.destroy()
-
-    # -- what heirs say
-
-    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> P:
-        raise NotImplementedError
-
-    def _is_heard(self, _publisher: P) -> bool:
-        return True
-
-    def _check(self, carried: Carried[P], kind: Any) -> None:
-        """Raise ValueError where samples of this message class cannot be sent on."""
+        carried.destroy()

@@ -14,20 +14,18 @@ from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.publisher import AdaptivePublisher
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
-from arpd.relay.ends.offers import TopicOffer
-from arpd.relay.ends.outgoing import Outgoing
-from arpd.relay.ends.survey import Survey
+from arpd.relay.ends.outgoing import Carried, Outgoing
 from arpd.relay.ends.types import is_bulk, message_class
 from arpd.relay.status import prefix_line
 from arpd.ros.graph_view import GraphView
-from arpd.ros.raw_reader import ReadingThread, Sample
 from arpd.ros.runtime import ros_node
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.survey import Surveyed, Writer
+    from arpd.relay.ends.offers import WriterOffer
+    from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 _LINGER_S = 10.0  # without a writer: a source may restart, and a loop whose source never comes must end
@@ -57,8 +55,8 @@ class Participants:
         self._name = str(first.get_name())
         self.parts: list[Callable[[], float]] = []
         self._stack = ExitStack()
-        self._nodes = {(0, False): first}
-        self._of: dict[tuple[str, bool], Any] = {}
+        self._nodes = {(False, 0): first}
+        self._places: dict[str, tuple[bool, int]] = {}
         self._watch(first)
 
     def of(self, topic: str, *, is_large: bool) -> Any:
@@ -68,16 +66,15 @@ class Participants:
         ----------
         is_large : whether it has samples that others should not wait for
         """
-        if (topic, is_large) not in self._of:
-            number = sum(other is is_large for _, other in self._of)
-            place = number % _MOST_LARGE if is_large else number // _MOST_TOPICS, is_large
-            if place not in self._nodes:
-                # Nobody spins it: arpd's threads serve its publishers.
-                name = f"{self._name}_{len(self._nodes) + 1}"
-                self._nodes[place] = self._stack.enter_context(ros_node(name, context=Context()))
-                self._watch(self._nodes[place])
-            self._of[topic, is_large] = self._nodes[place]
-        return self._of[topic, is_large]
+        if topic not in self._places:
+            number = sum(large is is_large for large, _ in self._places.values())
+            self._places[topic] = is_large, number % _MOST_LARGE if is_large else number // _MOST_TOPICS
+        if (place := self._places[topic]) not in self._nodes:
+            # Nobody spins it: arpd's threads serve its publishers.
+            name = f"{self._name}_{len(self._nodes) + 1}"
+            self._nodes[place] = self._stack.enter_context(ros_node(name, context=Context()))
+            self._watch(self._nodes[place])
+        return self._nodes[place]
 
     def close(self) -> None:
         """Destroy all nodes but the first."""
@@ -87,98 +84,95 @@ class Participants:
         self.parts.append(partial(getattr, NodePublishers.of(node).thread, "finished_s"))
 
 
-class _Publisher(AdaptivePublisher):
-    """Publishes serialized samples under the prefix."""
+class _Republished(Carried):
+    """Publishes the samples of a topic as they are."""
 
-    def send(self, _topic: str, _writer: Writer, sample: Sample) -> None:
+    def __init__(self, publisher: AdaptivePublisher, *, is_latched: bool) -> None:
+        super().__init__(is_latched=is_latched)
+        self._publisher = publisher
+
+    def send(self, _topic: str, _writer: WriterOffer, sample: Sample) -> None:
         """Send a sample on, in the reading thread."""
-        self.pass_on(sample.data)
+        self._publisher.pass_on(sample.data)
+
+    def destroy(self) -> None:
+        """Send no more."""
+        self._publisher.destroy()
 
 
-class Prefixed(Outgoing[_Publisher]):
+class Prefixed(Outgoing):
     """Republishes each configured topic while it has writers, through an AdaptivePublisher.
 
     Parameters
     ----------
     node : looks at the graph and reads; nobody needs to spin it
     settings : topics and prefix
-    participants : nodes that publish; `close` does not close them
     on_change : called with the status line whenever it changes
+
+    Attributes
+    ----------
+    participants : nodes that publish
     """
 
-    def __init__(
-        self, node: Any, settings: RelaySettings, *, participants: Participants, on_change: Callable[[str], None]
-    ) -> None:
-        self._participants, self._on_change = participants, on_change
-        self._inputs = {topic: str(node.resolve_topic_name(topic)) for topic in settings.topic_names}
+    def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
+        self.participants, self._on_change = Participants(node), on_change
+        self._inputs = {str(node.resolve_topic_name(topic)): topic for topic in settings.topic_names}
         self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topic_names}
         self._view = GraphView.of(node)
-        super().__init__(
-            node=node,
-            survey=Survey(node, is_of_interest=frozenset(self._inputs.values()).__contains__),
-            thread=ReadingThread(),
-            local_name=self._inputs.__getitem__,
-            settings=settings,
-            linger_s=_LINGER_S,
-        )
-        participants.parts.append(lambda: self._thread.finished_s)
+        super().__init__(node, name_of=self._inputs.get, carry=self._republish, settings=settings, linger_s=_LINGER_S)
+        self.participants.parts.append(lambda: self.thread.finished_s)
         self._named: dict[str, str] = {}  # refusals that the log has
         self._status = ""
 
     def close(self) -> None:
         """Carry nothing any more."""
-        self.forget()
-        self._thread.stop()
+        super().close()
+        self.participants.close()
 
     def look(self) -> None:
         """Follow the graph, and tell the status if it has changed."""
-        self._survey.look()
-        silent, objections, ignored, offers = [], {}, {}, {}
-        for topic, name in self._inputs.items():
-            surveyed = self._survey.topics.get(name)
-            if surveyed is None or not surveyed.types:
-                silent.append(topic)
-            elif reason := self._objection(topic, surveyed):
-                objections[topic] = reason
-            else:
-                offers[topic] = TopicOffer(
-                    type_name=surveyed.type_name, writers=(*surveyed.writers.values(),), link_name=topic
-                )
-                if others := [each for each in surveyed.types if each != surveyed.type_name]:
-                    ignored[topic] = ", ".join(others)
+        super().look()
+        objections = {topic: words for topic in self._local if (words := self._objection(topic))}
         self.forget(objections)
-        self.follow(offers, offers)
+        self.follow(self.offers.keys() - objections)
         refused = objections | self.refused
         for topic, reason in refused.items() - self._named.items():
             log.error("cannot relay %s: %s; the other topics are not affected", topic, reason)
         self._named = refused
-        ignored = {topic: types for topic, types in ignored.items() if topic not in refused}
-        status = prefix_line(topics=len(self._inputs), silent=silent, refused=refused, ignored=ignored)
+        ignored = {
+            topic: ", ".join(each for each in types if each != self.offers[topic].type_name)
+            for topic, types in self.several_types().items()
+            if topic not in refused
+        }
+        silent = [topic for topic in self._outputs if topic not in refused.keys() | self.offers]
+        status = prefix_line(topics=len(self._outputs), silent=silent, refused=refused, ignored=ignored)
         if status != self._status:
             self._status = status
             self._on_change(status)
 
-    def _objection(self, topic: str, surveyed: Surveyed) -> str:
+    def _objection(self, topic: str) -> str:
         """Return why a topic must not be carried, in words; empty if it may."""
         output = self._outputs[topic]
-        if not surveyed.type_name:
-            return f"it has more than one type: {', '.join(surveyed.types)}"
-        if output in self._inputs.values():
+        if topic not in self.offers:
+            types = self.several_types().get(topic, ())
+            return f"it has more than one type: {', '.join(types)}" if types else ""
+        if output in self._inputs:
             return f"its output {output} is carried too, so messages would loop; remove the remapping rule"
         readers = {reader.node for reader in self._view.readers(output) if reader.node}
-        if loop := sorted({each.node for each in surveyed.writers.values()} & readers):
+        if loop := sorted({writer.node for writer in self.offers[topic].writers} & readers):
             return f"{', '.join(loop)} reads {output} and publishes it, so messages would loop"
         return ""
 
-    def _publisher(self, link_name: str, type_name: str, *, is_latched: bool) -> _Publisher:
+    def _republish(self, topic: str, type_name: str, *, is_latched: bool) -> _Republished:
         kind = message_class(type_name)
-        log.info("relaying %s to %s (%s)", link_name, self._outputs[link_name], type_name)
+        log.info("relaying %s to %s (%s)", topic, self._outputs[topic], type_name)
         # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise.
         durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
-        return _Publisher(
-            self._participants.of(link_name, is_large=is_bulk(kind)),
+        publisher = AdaptivePublisher(
+            self.participants.of(topic, is_large=is_bulk(kind)),
             kind,
-            self._settings.prefix + link_name,
-            QoSProfile(depth=self._settings.depths.get(link_name) or DEFAULT_RELAY_DEPTH, durability=durability),
-            overflow=Overflow.QUEUE if link_name in self._settings.queued else Overflow.LATEST,
+            self._settings.prefix + topic,
+            QoSProfile(depth=self._settings.depths.get(topic) or DEFAULT_RELAY_DEPTH, durability=durability),
+            overflow=Overflow.QUEUE if topic in self._settings.queued else Overflow.LATEST,
         )
+        return _Republished(publisher, is_latched=is_latched)

@@ -12,7 +12,6 @@ from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
-from arpd.relay.ends.survey import WriterClass
 from arpd.relay.ends.types import MOST_BYTES, held_depth
 from arpd.ros.graph import policies_of
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.ends.offers import WriterOffer
-    from arpd.relay.ends.survey import Survey, Writer
+    from arpd.relay.ends.offers import WriterClass, WriterOffer
+    from arpd.relay.ends.survey import Survey
 
 _MOST_HELD = 1000
 _HELD_S = 3.0
@@ -57,24 +56,20 @@ class TopicReaders:
         *,
         survey: Survey,
         thread: ReadingThread,
-        deliver: Callable[[Writer, Sample], None],
-        depth: int | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        deliver: Callable[[WriterOffer, Sample], None],
+        depth: int | None,
     ) -> None:
         self._node, self._topic, self._msg_type = node, topic, msg_type
         self._survey, self._thread, self._deliver_one = survey, thread, deliver
-        self._depth, self._clock = depth, clock
+        self._depth = depth
         self._readers: dict[WriterClass, RawReader] = {}
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
         self._held: deque[tuple[WriterClass, Sample, float]] = deque(maxlen=_MOST_HELD)
         self._lock = threading.Lock()
 
-    def __len__(self) -> int:
-        return len(self._readers)
-
     def follow(self, writers: Iterable[WriterOffer]) -> None:
         """Read every class of these writers, and deliver what waited for their names."""
-        for kind in {*map(WriterClass.of, writers)} - self._readers.keys():
+        for kind in {writer.kind for writer in writers} - self._readers.keys():
             self._readers[kind] = self._reader(kind)
         with self._lock:
             self._deliver_held()
@@ -87,7 +82,7 @@ class TopicReaders:
     def are_alive(self, writer: WriterOffer) -> bool:
         """Return whether a writer like this one asserts its liveliness within its lease; DDS does not say which."""
         try:
-            status = status_of(self._readers[WriterClass.of(writer)], _LIVELINESS)
+            status = status_of(self._readers[writer.kind], _LIVELINESS)
         except (KeyError, InvalidHandle):  # it is not read, or begins again
             return False
         return status is not None and status.alive_count > 0
@@ -97,14 +92,15 @@ class TopicReaders:
             with self._lock:
                 # Behind those that are held, perhaps of the same writer.
                 if self._held or not self._deliver(kind, sample):
-                    self._held.append((kind, sample, self._clock()))
+                    self._held.append((kind, sample, time.monotonic()))
                     self._deliver_held()
 
+        is_reliable, is_latched, lease_ns = kind
         qos = QoSProfile(
             depth=held_depth(self._msg_type, asked=self._depth or DEFAULT_RELAY_DEPTH),
-            liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if kind.lease_ns else QoSLivelinessPolicy.AUTOMATIC,
-            liveliness_lease_duration=Duration(nanoseconds=kind.lease_ns),
-            **policies_of(is_reliable=kind.is_reliable, is_latched=kind.is_latched),
+            liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC if lease_ns else QoSLivelinessPolicy.AUTOMATIC,
+            liveliness_lease_duration=Duration(nanoseconds=lease_ns),
+            **policies_of(is_reliable=is_reliable, is_latched=is_latched),
         )
         return RawReader(
             self._node,
@@ -125,7 +121,7 @@ class TopicReaders:
 
     def _deliver_held(self) -> None:
         """Deliver the samples whose writer is known by now, each writer's in their order."""
-        now_s = self._clock()
+        now_s = time.monotonic()
         unknown: set[bytes] = set()
         for _ in range(len(self._held)):
             kind, sample, at_s = self._held.popleft()

@@ -107,13 +107,6 @@ def test_a_hidden_name_crosses_as_a_part_of_an_action_only(settings, name):
         assert name.rpartition("/")[0].endswith("/_action")
 
 
-def test_what_leaves_one_side_enters_the_other():
-    """Both ends read one configuration."""
-    settings = {"to_base": ("/scan",), "to_robot": ("/cmd_vel",)}
-    for name in ("/scan", "/cmd_vel"):
-        assert side(**settings).may_leave(name) == side(is_far=True, **settings).may_enter(name) == (name == "/scan")
-
-
 @given(st.sampled_from(["", "/r1", "/fleet/r1"]), NAME)
 def test_a_name_comes_back_from_the_base(namespace, name):
     """The two names of a topic belong together."""

@@ -12,7 +12,7 @@ from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from test_msgs.srv import BasicTypes, Empty
 
-from arpd.relay.calls import CallFailure, CallId, FailureReason
+from arpd.relay.calls import CallFailure, FailureReason
 from arpd.relay.ends.services import LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
 
@@ -58,24 +58,18 @@ class LateServer(MagicMock):
 def test_no_request_leaves_before_its_server_can_know_the_client():
     """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
     node, now_s = LateServer(), 100.0
-    client = LocalClient(node, Empty, "/empty", MagicMock(), lambda _call, _response: None, clock=lambda: now_s)
+    client = LocalClient(node, Empty, "/empty", MagicMock(), lambda _call, _response: None)
 
     def pass_time(seconds):
         nonlocal now_s
         now_s += seconds
-        client.step()
-        return node.handle.send_request.call_count
+        return client.is_ready(now_s)
 
-    client.call(CallId(1, 1), Empty.Request())
-    assert (pass_time(0.2), pass_time(0.2)) == (0, 1)
-    client.call(CallId(1, 2), Empty.Request())
-    assert node.handle.send_request.call_count == 2
+    assert [pass_time(seconds) for seconds in (0.0, 0.2, 0.2)] == [False, False, True]
     node.is_there = False
-    pass_time(0.1)
+    assert not pass_time(0.1)
     node.is_there = True
-    pass_time(0.1)
-    client.call(CallId(1, 3), Empty.Request())
-    assert (pass_time(0.1), pass_time(0.3)) == (2, 3)
+    assert [pass_time(seconds) for seconds in (0.1, 0.1, 0.3)] == [False, False, True]
 
 
 @pytest.mark.parametrize("kind", ["msg", "srv", "action"])

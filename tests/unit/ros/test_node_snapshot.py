@@ -61,7 +61,6 @@ RELAY = RelaySummary(
     incomplete=7,
     calls_failed={"timeout": 5},
     strangers=("rviz",),
-    types_differ={"/scan": "it is A there and B here"},
 )
 FULL = encode_snapshot("/n", [REPLACED], answer=ANSWER, lacks_profile=True, relay=RELAY)
 COLUMNS = {
@@ -197,9 +196,7 @@ def test_what_grows_when_it_is_read_is_refused(bomb):
 def test_whatever_names_a_relay_has_its_summary_is_understood(named, strangers, fault):
     """Long, many and unprintable names are cut and shown, and words do nothing to a terminal."""
     topics = RelayTopics(offered=500, refused=named)
-    told = RelaySummary(
-        fault=fault, to_base=topics, to_robot=topics, types_differ=named, strangers=tuple(strangers), other_host=fault
-    )
+    told = RelaySummary(fault=fault, to_base=topics, to_robot=topics, strangers=tuple(strangers), other_host=fault)
     relay = decode_snapshot(encode_snapshot("/n", [], relay=told)).relay
     assert relay is not None
     assert relay.to_base.offered == 500
