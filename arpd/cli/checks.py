@@ -28,6 +28,7 @@ _LEAST_SIGNAL_DBM = -75
 # Plain ROS 2 at rest: 0.5 kB/s per participant with its unicast part (docs/results.md, A link at rest), so this is 1 %
 # of a link that carries 8 Mbit/s.
 _MANY_PARTICIPANTS = 20
+_ARPDS_PROCESSES = 2  # on another host, with one end: `arpd run` and `arpd relay`, or `arpd peer`
 _ENOUGH_BUFFER_BYTES = 2 * 2**20  # 20 ms of a link that carries 100 MB/s
 _FEW_LOST, _LITTLE_LOST, _LITTLE_INCOMPLETE = 10, 1e-4, 0.01
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
@@ -164,24 +165,23 @@ def discovery(here: Here) -> Finding:
     With two ends nobody needs to. With one end the nodes find each other across the link, so only many are too many.
     """
     heard, has_two_ends = here.heard, here.settings.relay.link_domain is not None
-    others = [one for one in heard.announcers if not one.is_arpds]
+    own = [one.process for one in heard.announcers if one.is_here and not one.is_arpds]
+    by_host = Counter(one.host for one in heard.announcers if not one.is_here)
+    if not has_two_ends:  # else arpd's own are in the link domain
+        by_host = +Counter({host: many - _ARPDS_PROCESSES for host, many in by_host.items()})
     where = f"{here.interface} (domain {heard.domain_id})"
-    if not others:
+    if not (others := len(own) + by_host.total()):
         return fine(f"no node but arpd's announces itself on {where}")
-    own = [one.process for one in others if one.is_here]
     names = [f"{len(own)} of this computer ({listed(sorted(set(own)))})"] if own else []
-    by_host = Counter(one.host for one in others if not one.is_here)
     names += [f"{many} of {host}" for host, many in sorted(by_host.items())]
     rate = f"{format_number(heard.bytes_per_second / 1e3, digits=2)} kB/s"
-    found = (
-        f"{count(len(others), 'participant')} on {where}: {listed(names)}; all multicast discovery there takes {rate}"
-    )
+    found = f"{count(others, 'participant')} on {where}: {listed(names)}; all multicast discovery there takes {rate}"
     if has_two_ends:
         return wrong(
             f"{found}; the relay carries their topics already",
             "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST   # before your nodes start, on these computers",
         )
-    if len(others) <= _MANY_PARTICIPANTS:
+    if others <= _MANY_PARTICIPANTS:
         return fine(found)
     return wrong(
         f"{found}, and unicast discovery about twice as much",
