@@ -103,11 +103,8 @@ class Daemon:
         url, deadline = self.url, {"connect_timeout": _DEADLINE_S, "request_timeout": _DEADLINE_S}
         try:
             answer = self._client.fetch(self._base + path, raise_error=False, **self._options, **deadline)
-        except (
-            OSError,
-            HTTPClientError,
-            UnsatisfiableReadError,
-        ) as error:  # before ValueError: a certificate that is not trusted is both
+        # Before ValueError: a certificate that is not trusted is both.
+        except (OSError, HTTPClientError, UnsatisfiableReadError) as error:
             raise _no_answer(url, error) from None
         except ValueError as error:
             raise UsageError(f"--url {url!r} leads nowhere ({error})") from None
