@@ -53,6 +53,7 @@ class World:
     ----------
     workdir : folder for configuration and logs
     slow : called with the name and process id of every process on the robot
+    nodes : module that the processes of the robot's nodes run
     """
 
     def __init__(
@@ -63,9 +64,10 @@ class World:
         workdir: Path,
         *,
         slow: Callable[[str, int], None] = lambda _name, _pid: None,
+        nodes: str = "scripts.bench.nodes",
     ) -> None:
         self.robot, self.side, self.link = robot, side, link
-        self.workdir, self._slow = workdir, slow
+        self.workdir, self._slow, self._nodes = workdir, slow, nodes
         self.children: dict[str, Child] = {}
         self.daemons: dict[str, subprocess.Popen[Any]] = {}
         self.ended: list[str] = []
@@ -77,11 +79,11 @@ class World:
         """Start everything and wait until writers and readers have found each other; return those that have not."""
         self._start_nodes(stack)
         if self.side.is_governed:
-            self._configure()
+            self.configure()
             self.start_daemon("peer")
             self.start_daemon("run")
         if self.side.ends in {"one", "two"}:
-            self._configure()
+            self.configure()
             self.start_daemon("relay")
         if self.side.ends == "two":
             self.start_daemon("relay_far")
@@ -231,18 +233,18 @@ class World:
             self.daemons["relay"] = self.child(stack, "robot", "bare", str(world)).process
 
     def child(self, stack: ExitStack, host: HostName, *argv: str) -> Child:
-        """Start a process of `scripts.bench.nodes`."""
+        """Start a process of the nodes' module."""
         environment = {
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE) if self.side.has_profile else "",
             **self.side.transports,
         }
-        child = Child(self.link, host, "scripts.bench.nodes", *argv, environment=environment)
+        child = Child(self.link, host, self._nodes, *argv, environment=environment)
         stack.callback(child.end)
         if host == "robot":
             self._slow(argv[-1], child.process.pid)
         return child
 
-    def _configure(self) -> None:
+    def configure(self) -> None:
         """Write what arpd needs to know; nothing of the robot's rates and sizes but of what nobody may thin."""
         kept: dict[str, float] = {}
         for topic in self.robot.topics:

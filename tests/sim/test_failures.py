@@ -9,8 +9,7 @@ import pytest
 from arpd.daemon import scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.settings import DefaultPreferences, OnLost, ProgramSettings, Settings
-from arpd.report.conditions import Condition
+from arpd.model.settings import DefaultPreferences, ProgramSettings, Settings
 from arpd.sim import world
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule
@@ -37,30 +36,6 @@ def settled(played):
 
 def lost(played):
     return sum(topic.lost for topic in played.result.topics)
-
-
-def reload(settings):
-    return lambda daemon: daemon.reload(lambda: settings)
-
-
-SLACK = Settings(program=ProgramSettings(deadline_slack=3.0))  # changes QoS of every topic
-
-
-# -- reload
-
-
-def test_a_lease_comes_and_goes_without_a_swap():
-    """A reload of ``on_lost`` changes no QoS, so no writer is swapped; every publisher announces the lease."""
-    leased = Settings(on_lost=OnLost.BASELINE, lost_after_s=12.0)
-    played = play(do={10.0: reload(leased), 18.0: reload(Settings())})
-    leases = {
-        at_s: {p.lease_s for p in played.between(at_s, LASTS_S)[0].snapshot.observation.publishers}
-        for at_s in (9.9, 17.9, 24.9)
-    }
-    assert leases == {9.9: {0.0}, 17.9: {12.0}, 24.9: {0.0}}
-    swaps = {moment.swaps for moment in played.result.moments if moment.t_s >= 9.9}
-    assert len(swaps) == 1
-    assert settled(played)
 
 
 def test_a_dead_daemon_leaves_its_price_and_its_plan_in_force():
@@ -111,14 +86,6 @@ def test_a_peer_that_is_gone_and_back_leaves_the_plan_in_force():
     assert {tick.decision.allowed for tick in silent} == {1.0}
     assert played.plans(8.0, 28.0) == []
     assert settled(played)
-
-
-@pytest.mark.parametrize("has_peer", [True, False])
-def test_the_missing_of_a_peer_is_a_condition_where_none_reports(has_peer):
-    """`without_peer` holds where no peer reports, and nowhere else."""
-    played = play(duration_s=15.0, has_peer=has_peer)
-    found = {finding.condition for finding in played.daemon.snapshot.found}
-    assert (Condition.WITHOUT_PEER in found) is not has_peer
 
 
 @pytest.mark.parametrize(("others_hz", "is_over"), [(0.2, False), (1.0, True)])

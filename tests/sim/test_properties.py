@@ -15,9 +15,8 @@ from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import LossStep, RateSchedule, RateStep
-from tests.sim.watched import Tick, watch
+from tests.sim.watched import MBIT, Tick, watch
 
-MBIT = 125_000.0
 PAST_S, REST_S, WATCH_S = 25.0, 75.0, 15.0  # a rise counts when it has held for 30 s, and waits for three dwells
 SEEDS = range(5)
 CONSTANTS = ((0, 0.5), (2, 6.0), (4, 50.0))

@@ -14,8 +14,8 @@ from arpd.model.settings import LinkSettings
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.schedule import RateSchedule
+from tests.sim.watched import MBIT, between, goodput
 
-MBIT = 125_000.0
 STEADY_S = 60.0
 STEP = "0:20mbit,10:5mbit,22:20mbit"  # falls at 10 s, recovers at 22 s
 STEP_S, FALL_S, RISE_S = 38.0, 10.0, 22.0
@@ -32,10 +32,6 @@ def play(schedule, duration_s, *, managed=True, seed=1, outages=(), loss=0.0, li
     ).play()
 
 
-def between(result, start_s, end_s):
-    return [moment for moment in result.moments if start_s <= moment.t_s < end_s]
-
-
 def error(moment):
     return abs(moment.estimate_bytes_per_second / moment.truth_bytes_per_second - 1.0)
 
@@ -43,12 +39,6 @@ def error(moment):
 def right(moments):
     """Return the share of moments whose estimate is within 15 % of the truth."""
     return sum(error(moment) < 0.15 for moment in moments) / len(moments)
-
-
-def goodput(result, start_s, end_s):
-    """Return the payload that reached the base computer in a span (bytes/s)."""
-    moments = between(result, start_s, end_s)
-    return (moments[-1].delivered_bytes - moments[0].delivered_bytes) / (moments[-1].t_s - moments[0].t_s)
 
 
 def first(moments, holds):

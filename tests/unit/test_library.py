@@ -1,6 +1,5 @@
 """The half of arpd that a robot's nodes import needs the standard library and ROS 2; one line says what is missing."""
 
-import ast
 import re
 import subprocess
 import sys
@@ -10,45 +9,23 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import arpd
+from tests.unit.test_rings import FILES, imports
 
 REPO = Path(__file__).resolve().parents[2]
 ENDPOINT = [f"arpd.endpoint.{path.stem}" for path in (REPO / "arpd/endpoint").glob("[!_]*.py")]
 DEPENDS = {str(depend.text) for depend in ET.parse(REPO / "package.xml").iter("exec_depend")}
 
 
-def path_of(module):
-    """Return the file of one of arpd's modules, or None if there is no such module."""
-    path = REPO.joinpath(*module.split("."))
-    return next((each for each in (path / "__init__.py", path.with_suffix(".py")) if each.exists()), None)
-
-
-def is_for_types(node):
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-
-
-def imports(node):
-    """Names that a module imports when it runs, at its top or in a function."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.Import):
-            yield from (alias.name for alias in child.names)
-        elif isinstance(child, ast.ImportFrom):
-            yield child.module
-            yield from (name for alias in child.names if path_of(name := f"{child.module}.{alias.name}"))
-        elif not is_for_types(child):
-            yield from imports(child)
-
-
 def reach(*modules):
     """Modules of arpd that these import, directly or not, and the foreign packages of each."""
-    found, waiting = {}, list(modules)
+    found, waiting = {}, [*modules]
     while waiting:
-        module = waiting.pop()
-        if module in found:
+        if (module := waiting.pop()) in found:
             continue
-        names = set(imports(ast.parse(path_of(module).read_text())))
+        names = set(imports(FILES[module], for_types=False))
         found[module] = {name.partition(".")[0] for name in names} - {"arpd"}
         parents = {module.rpartition(".")[0]} - {"", "arpd"}  # arpd itself imports the publisher on demand
-        waiting += parents | {name for name in names if name.startswith("arpd.")}
+        waiting += parents | names & FILES.keys() - {"arpd"}
     return found
 
 

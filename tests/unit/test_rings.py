@@ -42,6 +42,9 @@ def name_of(path):
     return ".".join(("arpd", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
 
 
+FILES = {name_of(path): path for path in MODULES}
+
+
 def folder_of(module):
     return [*module.split("."), ""][1]
 
@@ -55,19 +58,22 @@ IN_ORDER = [path for path in MODULES if folder_of(name_of(path)) in STAGES]
 PURE = IN_ORDER + [p for p in MODULES if folder_of(name_of(p)) in {"endpoint", "relay"} and not has_ros(name_of(p))]
 
 
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+def imports(path, *, for_types=True):
+    """Yield the names that a module imports, at its top or in a function, and those that only its types need."""
+    waiting = [ast.parse(path.read_text())]
+    for node in waiting:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif for_types or not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            waiting += ast.iter_child_nodes(node)
 
 
 def imported_modules(path):
     """Names of arpd's own modules that a module imports, for types only or not."""
-    known = {name_of(module) for module in MODULES}
-    return {name for name in imports(path) if name in known} - {name_of(path), "arpd"}
+    return set(imports(path)) & FILES.keys() - {name_of(path), "arpd"}
 
 
 def ids(path):

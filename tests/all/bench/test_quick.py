@@ -39,8 +39,8 @@ def test_swaps_lose_no_sample(tmp_path):
     assert row[columns.index("seen")] >= row[columns.index("swaps")] > 0
 
 
-def test_two_ends_double_and_reorder_nothing_while_they_die(tmp_path):
-    """Ends and daemon die; no sample comes twice or late, no set is torn, no call runs twice, and all flows again."""
+def test_ends_and_daemons_that_die_double_and_reorder_nothing(tmp_path):
+    """No sample is lost beside a break, doubled or late, no set is torn, no call runs twice, and all flows again."""
     summary = run("faults", tmp_path)
     assert not [each.what for each in summary.figures if each.target == 0 and each.value]
 

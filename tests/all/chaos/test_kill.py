@@ -1,207 +1,207 @@
-"""Kill -9 of every participant of a writer swap, and readers that join, in every state of it."""
+"""Kill -9 of who takes part in a writer swap, and readers that join, in every state of it."""
 
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from tests.all.chaos.nodes import BASELINE_DEPTH, DEPTH, TOPICS, WHERE
-from tests.all.chaos.world import Log, ended, is_gapless, settle
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from scripts.bench.nodes import BASE_SINK
+from scripts.bench.samples import Topic
+from scripts.bench.sides import SIDES, Robot
+from scripts.bench.world import world_of
+from tests.all.chaos.stopping import TOPICS, WHERE
+from tests.all.link.hosts import NEEDS_LINK
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
+pytestmark = [*NEEDS_LINK, pytest.mark.timeout(300)]
 
-DEADLINE_NS = 800_000_000
-OTHER_DEPTH = 250
-AGAIN = 100_000  # first number of a node's second life
-BASELINE = (BASELINE_DEPTH, 0)
-ASKED = (DEPTH, DEADLINE_NS)
+DEPTH = 1000  # of the application
+SWAPPED = {"depth": 900, "deadline_ns": 800_000_000}
+RATE = 20e6 / 8
+ROBOT = Robot(
+    topics=tuple(Topic(name=name, node="talker", rate_hz=20.0, size=60, is_kept=True) for name in TOPICS.values()),
+    settings={"governor": {"hold": "1h"}},  # one plan only: the test's jitter must not cause another
+)
 every_state = pytest.mark.parametrize("where", WHERE)
 
 
-def qos(state):
-    return (state.depth, state.deadline_ns)
+class Stage:
+    """A talker on the robot that publishes, and what reads it on the base computer."""
+
+    def __init__(self, world, stack):
+        self.world, self._stack = world, stack
+        assert world.start(stack) == []
+        self.talker, self.there = world.children["talker"], world.children[BASE_SINK]
+        self.publish()
+
+    def publish(self, *, for_s=3600.0):
+        """Let the talker publish from now on."""
+        now_s = time.monotonic()
+        self.talker.ask(do="begin", begin_s=now_s, from_s=now_s, until_s=now_s + for_s)
+
+    def start(self, host, name):
+        """Start one more process of the robot's."""
+        child = self.world.child(self._stack, host, str(self.world.workdir / "world.json"), name)
+        child.receive()
+        return child
+
+    def reader(self):
+        return self.start("base", BASE_SINK)
+
+    def states(self):
+        return self.talker.ask(do="states")
+
+    def when(self, what, holds):
+        """Wait until something holds of the state of every publisher; return the states."""
+        return eventually(what, lambda: states if all(map(holds, (states := self.states()).values())) else None)
+
+    def stopped(self):
+        return self.when("every swap is stopped", lambda state: not state["will_stop"])
+
+    def go_on(self):
+        self.talker.ask(do="release")
+        self.when("every swap has ended", lambda state: state["ended"] and state["writers"] == 1)
+
+    def sent(self):
+        """Return the numbers of the samples that the talker gave its publishers."""
+        sources = self.talker.ask(do="report")["sources"].values()
+        return {
+            name: [number for number, _ in source["sent"]]
+            for name, source in zip(TOPICS.values(), sources, strict=True)
+        }
+
+    def settle(self, *readers):
+        """Stop publishing; return the last states, the numbers of the samples, and those that each reader has."""
+        self.publish(for_s=0.0)
+        states, sent = self.when("the queues are empty", lambda state: not state["queued"]), self.sent()
+        for reader in (self.there, *readers):
+            eventually(
+                "every reader has the last sample",
+                lambda reader=reader: all(rows[-1:] == sent[name][-1:] for name, rows in numbers(reader).items()),
+            )
+        return SimpleNamespace(states=states, sent=sent, there=numbers(self.there), read=[*map(numbers, readers)])
 
 
-def kill_reader(world):
-    """Kill a subscriber while the publisher swaps, and start it again; another one stays."""
-    survivor = Log(world, "survivor")
-    victim = world.start("listener", "victim", *TOPICS.values())
-    talker = world.talker(readers=2, stops=TOPICS)
-    eventually("the victim receives", lambda: all(victim.tell("received").values()))
-    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
-    eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
-    victim.kill()
-    talker.tell("release")
-    eventually("every swap has ended", lambda: world.has_settled(TOPICS.values(), swaps=1))
-    restarted = world.start("listener", "victim", *TOPICS.values())
-    eventually("it receives again", lambda: all(len(numbers) > 10 for numbers in restarted.tell("received").values()))
-    sent = settle(world, talker, survivor)
-    eventually(
-        "the restarted reader has the last sample",
-        lambda: all(numbers[-1] == sent - 1 for numbers in restarted.tell("received").values()),
-    )
-    return SimpleNamespace(
-        now=world.picture(), survivor=survivor.numbers, sent=sent, restarted=restarted.tell("received")
-    )
+def numbers(reader):
+    """Return the numbers that have arrived on each topic, in order."""
+    return {name: [row[1] for row in rows] for name, rows in reader.ask(do="report")["arrivals"].items()}
+
+
+def has_some(reader):
+    return all(len(rows) > 10 for rows in numbers(reader).values())
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """Return a function that plays a scenario once for all states, and returns its outcome."""
+    outcomes = {}
+
+    def play(scenario, *, is_governed=False):
+        if scenario not in outcomes:
+            outcomes[scenario] = None
+            side, logs = replace(SIDES["adaptive"], is_governed=is_governed), tmp_path_factory.mktemp(scenario.__name__)
+            nodes = "tests.all.chaos.stopping"
+            with world_of(ROBOT, side, rate=RATE, logs=logs, nodes=nodes) as world, ExitStack() as stack:
+                outcomes[scenario] = scenario(Stage(world, stack))
+        assert outcomes[scenario], "it broke when it was played"
+        return outcomes[scenario]
+
+    return play
+
+
+def kill_reader(stage):
+    """Kill a reader while the publisher swaps, and start it again; another one stays."""
+    victim = stage.reader()
+    eventually("the victim receives", lambda: has_some(victim))
+    stage.talker.ask(do="swap", **SWAPPED)
+    stage.stopped()
+    victim.process.kill()
+    stage.go_on()
+    again = stage.reader()
+    eventually("it receives again", lambda: has_some(again))
+    return stage.settle(again)
+
+
+def assert_swapped(state, sent):
+    """Assert that the swap has ended, perhaps undone, with nothing lost on the way."""
+    depth, deadline_ns = SWAPPED.values()
+    assert (state["depth"], state["deadline_ns"]) == ((DEPTH, 0) if state["refusal"] else (depth, deadline_ns))
+    assert (state["ended"], state["writers"]) == (1, 1)
+    assert (state["published"], state["withheld"]) == (len(sent), 0)
+
+
+def is_gapless(read, sent):
+    """Return whether a reader has all that was sent from its first sample on, each once and in order."""
+    return bool(read) and read == sent[sent.index(read[0]) :]
 
 
 @every_state
 def test_a_killed_reader_costs_the_other_one_nothing(played, where):
     """The swap ends with one writer; the survivor has every sample, the restarted reader all from its first one on."""
     topic, outcome = TOPICS[where], played(kill_reader)
-    now = outcome.now[topic]
-    print(where, dict(now.last.swaps_by_result), now.last.refusal)
-    assert (ended(now.last), now.last.published, now.last.withheld) == (1, outcome.sent, 0), now.last
-    assert qos(now.last) == (BASELINE if now.last.refusal else ASKED)
-    assert now.writers == [now.last.deadline_ns]
-    assert outcome.survivor[topic] == list(range(outcome.sent))
-    assert is_gapless(outcome.restarted[topic])
-    assert outcome.restarted[topic][-1] == outcome.sent - 1
+    assert_swapped(outcome.states[topic], outcome.sent[topic])
+    assert outcome.there[topic] == outcome.sent[topic]
+    assert is_gapless(outcome.read[0][topic], outcome.sent[topic])
 
 
-def assert_planned(now):
-    """Assert that a restarted publisher swapped from its own QoS to the plan, and has one writer."""
-    assert (now.last.baseline_depth, now.last.baseline_deadline_ns) == BASELINE
-    assert ended(now.last) >= 1
-    assert now.last.generation >= 1
-    assert (now.last.depth, now.last.refusal) == (DEPTH, "")
-    assert now.writers == [now.last.deadline_ns] != [0]
-
-
-def kill_node(world):
-    """Kill the publishers' node during the swap to a daemon's first plan, and start it again."""
-    reader = Log(world, "reader")
-    world.daemon()
-    talker = world.talker(has_short_lease=True, stops=TOPICS)
-    eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
-    sent = talker.tell("publish", is_on=False)
-    eventually("all that flows has left", lambda: all(world.rests(topic) for topic in TOPICS.values()))
-    before = world.picture()
-    talker.kill()
-    talker = world.talker(number=AGAIN)
-    eventually("the plan is in force", lambda: world.has_settled(TOPICS.values(), depth=DEPTH, swaps=1))
-    end = settle(world, talker, reader, first=AGAIN)
-    return SimpleNamespace(before=before, now=world.picture(), received=reader.numbers, sent=sent, end=end)
-
-
-@every_state
-def test_a_node_started_again_begins_with_its_own_qos_and_gets_the_plan_back(played, where):
-    """What its first life announced as published has arrived, and its second life loses nothing through the swap."""
-    topic, outcome = TOPICS[where], played(kill_node)
-    before = outcome.before[topic].last
-    received = [number for number in outcome.received[topic] if number < AGAIN]
-    assert received == list(range(before.published))
-    assert (outcome.sent - len(received), before.withheld) == (before.queued, 0)
-    assert_planned(outcome.now[topic])
-    assert outcome.received[topic][len(received) :] == list(range(AGAIN, outcome.end))
-    assert outcome.now[topic].last.published == outcome.end - AGAIN
-
-
-def kill_daemon(world):
-    """Kill a daemon and then its successor during the swaps to their plans, then start a third one."""
-    reader = Log(world, "reader")
-    daemon = world.daemon()
-    talker = world.talker(stops=TOPICS)
-    topics = TOPICS.values()
-    deaths = []
-    for swaps, depth in enumerate((DEPTH, OTHER_DEPTH), start=1):
-        eventually("every swap is stopped", lambda: talker.stopped == set(topics))
-        daemon.kill()
-        talker.tell("release")
-        eventually("the plan is in force", lambda d=depth, n=swaps: world.has_settled(topics, depth=d, swaps=n))
-        deaths.append(world.picture())
-        if depth == DEPTH:
-            talker.stop(TOPICS)
-            daemon = world.daemon(depth=OTHER_DEPTH, on_lost="baseline", lost_after="5s")
-    eventually("the lease is over", lambda: world.has_settled(topics, depth=BASELINE_DEPTH, swaps=3))
-    deserted = world.picture()
-    announced = {topic: world.announced(topic) for topic in topics}
-    world.daemon()
-    eventually("the third daemon's plan is in force", lambda: world.has_settled(topics, depth=DEPTH, swaps=4))
-    sent = settle(world, talker, reader)
-    return SimpleNamespace(
-        deaths=deaths, deserted=deserted, now=world.picture(), announced=announced, received=reader.numbers, sent=sent
-    )
-
-
-@every_state
-def test_a_plan_with_a_lease_ends_with_its_daemon(played, where):
-    """With ``on_lost: baseline`` the publisher returns to its own QoS and to generation 0."""
-    now = played(kill_daemon).deserted[TOPICS[where]]
-    assert (qos(now.last), now.last.generation) == (BASELINE, 0)
-    assert now.writers == [0]
-
-
-@every_state
-def test_a_daemon_started_again_takes_over(played, where):
-    """A swap outlives its daemon; the plan stays until the next one's, and generations rise until a lease is over."""
-    topic, outcome = TOPICS[where], played(kill_daemon)
-    for swaps, (death, depth) in enumerate(zip(outcome.deaths, (DEPTH, OTHER_DEPTH), strict=True), start=1):
-        now = death[topic]
-        assert (now.last.depth, now.last.refusal, ended(now.last)) == (depth, "", swaps)
-        assert now.writers == [now.last.deadline_ns] != [0]
-    first, announced = outcome.deaths[0][topic].last, outcome.announced[topic]
-    generations = [state.generation for state in announced]
-    while generations[-1] == 0:
-        generations.pop()
-    assert generations == sorted(generations)
-    after = [qos(state) for state in announced[announced.index(first) :] if state.generation == first.generation]
-    assert set(after) == {qos(first)}
-    assert_planned(outcome.now[topic])
-
-
-@every_state
-def test_daemons_that_die_cost_no_sample(played, where):
-    """Every published sample arrives once and in order."""
-    topic, outcome = TOPICS[where], played(kill_daemon)
-    last = outcome.now[topic].last
-    assert outcome.received[topic] == list(range(outcome.sent))
-    assert (last.published, last.withheld) == (outcome.sent, 0)
-
-
-def join(world):
-    """One subscriber joins while every swap is stopped, another one as they go on."""
-    there = Log(world, "there")
-    talker = world.talker(stops=TOPICS)
-    world.ask("/talker", TOPICS.values(), depth=DEPTH, deadline_ns=DEADLINE_NS)
-    eventually("every swap is stopped", lambda: talker.stopped == set(TOPICS.values()))
-    early = Log(world, "early")
-    eventually("the early reader matches", lambda: min(talker.tell("matched").values()) == 2)
-    late = Log(world, "late")
-    talker.tell("release")
-    eventually("every swap has ended", lambda: world.has_settled(TOPICS.values(), swaps=1))
-    eventually(
-        "all three readers are published to", lambda: all("3" in first for first in talker.tell("first").values())
-    )
-    sent = settle(world, talker, there, early, late)
-    first = {
-        readers: {
-            topic: min(number for count, number in of.items() if int(count) >= readers)
-            for topic, of in talker.tell("first").items()
-        }
-        for readers in (2, 3)
-    }
-    return SimpleNamespace(
-        now=world.picture(),
-        sent=sent,
-        there=there.numbers,
-        early=SimpleNamespace(numbers=early.numbers, first=first[2]),
-        late=SimpleNamespace(numbers=late.numbers, first=first[3]),
-    )
+def join(stage):
+    """One reader joins while every swap is stopped, another one as they go on."""
+    stage.talker.ask(do="swap", **SWAPPED)
+    stage.stopped()
+    early = stage.reader()
+    before = stage.when("the early reader matches", lambda state: state["readers"] == 2)
+    late = stage.reader()
+    stage.go_on()
+    matched = (before, stage.when("the late reader matches", lambda state: state["readers"] == 3))
+    eventually("it receives", lambda: has_some(late))
+    return SimpleNamespace(**vars(stage.settle(early, late)), matched=matched)
 
 
 @every_state
 def test_who_joins_during_a_swap_gets_everything_from_then_on(played, where):
     """A joining reader has every sample since it matched; the swap ends, and the first reader loses nothing."""
     topic, outcome = TOPICS[where], played(join)
-    for joined in (outcome.early, outcome.late):
-        numbers = joined.numbers[topic]
-        assert is_gapless(numbers)
-        assert numbers[0] <= joined.first[topic]
-        assert numbers[-1] == outcome.sent - 1
-    now = outcome.now[topic]
-    stated = (BASELINE_DEPTH, 0) if now.last.refusal else (DEPTH, DEADLINE_NS)
-    assert (now.last.depth, now.last.deadline_ns, ended(now.last)) == (*stated, 1)
-    assert now.writers == [now.last.deadline_ns]
-    assert outcome.there[topic] == list(range(outcome.sent))
-    assert (now.last.published, now.last.withheld) == (outcome.sent, 0)
+    assert_swapped(outcome.states[topic], outcome.sent[topic])
+    assert outcome.there[topic] == outcome.sent[topic]
+    for read, matched in zip(outcome.read, outcome.matched, strict=True):
+        assert is_gapless(read[topic], outcome.sent[topic])
+        assert read[topic][0] <= matched[topic]["number"] + 1
+
+
+def kill_node(stage):
+    """Kill the publishers' node during the swap to the daemon's plan, and start it again."""
+    stage.stopped()
+    stage.publish(for_s=0.0)
+
+    def rests():
+        earlier, _ = stage.states(), time.sleep(0.5)
+        return earlier == stage.states() and earlier
+
+    before, given = eventually("all that flows has left", rests), stage.sent()
+    stage.talker.process.kill()
+    first = numbers(stage.there)
+    stage.talker = stage.start("robot", "talker")
+    stage.talker.ask(do="release")
+    stage.when("the reader matches", lambda state: state["readers"])
+    stage.publish()
+    stage.when("the plan is in force", lambda state: state["deadline_ns"] and state["ended"] and state["writers"] == 1)
+    eventually("it receives again", lambda: has_some(stage.there))
+    return SimpleNamespace(**vars(stage.settle()), before=before, given=given, first=first)
+
+
+@every_state
+def test_a_node_started_again_gets_the_plan_back(played, where):
+    """What its first life published has arrived, and its second life loses nothing through the swap to the plan."""
+    topic, outcome = TOPICS[where], played(kill_node, is_governed=True)
+    before, state = outcome.before[topic], outcome.states[topic]
+    assert (before["published"] + before["queued"], before["withheld"]) == (len(outcome.given[topic]), 0)
+    assert outcome.first[topic] == outcome.given[topic][: before["published"]]
+    assert outcome.there[topic] == outcome.first[topic] + outcome.sent[topic]
+    assert (state["refusal"], state["deadline_ns"] > 0) == ("", True)
+    assert (state["published"], state["withheld"]) == (len(outcome.sent[topic]), 0)

@@ -1,4 +1,4 @@
-"""The demo robot for tests: live, with AdaptivePublishers and arpd, over a real link."""
+"""A robot for tests, by default the demo's: live, with AdaptivePublishers and arpd, over a real link."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _AT_MOST_S = 3600.0
 
 
 @contextmanager
-def live_robot(workdir):
+def live_robot(workdir, robot=None, **options):
     """Yield the world of the publishing robot and a URL of its daemon."""
     side = replace(SIDES["adaptive"], warm_up_s=0.0)
     with (
-        world_of(demo_robot(), side, rate=FAST, logs=workdir) as world,
+        world_of(robot or demo_robot(), side, rate=FAST, logs=workdir, **options) as world,
         ExitStack() as stack,
         window(world.link.robot, HTTP_PORT) as url,
     ):
@@ -32,15 +32,15 @@ def live_robot(workdir):
         yield world, url
 
 
-def topics(world):
-    """Return the topics of the status by name; a daemon that has no time to answer is asked again."""
+def confirmed(world):
+    """Return what each topic's publisher has confirmed; a daemon that has no time to answer is asked again."""
     status = eventually("the daemon answers", world.status)
-    return {topic["topic"]: topic for topic in status["topics"]}
+    return {topic["topic"]: topic["confirmed"] for topic in status["topics"]}
 
 
 def is_confirmed(world):
     """Return whether every topic is planned and confirmed."""
     status = world.status()
     return status is not None and (
-        len(status["topics"]) == status["plan"]["topics"] == status["plan"]["confirmed"] == len(TOPICS)
+        len(status["topics"]) == status["plan"]["topics"] == status["plan"]["confirmed"] == len(world.robot.topics)
     )

@@ -4,8 +4,6 @@ import json
 import subprocess
 import sys
 import time
-import urllib.request
-from contextlib import suppress
 
 import pytest
 
@@ -13,9 +11,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.sim.demo import COMMAND_TOPIC
 from scripts.bench.nodes import ROBOT_SINK
-from scripts.bench.samples import BASE
+from scripts.bench.samples import BASE, Topic
+from scripts.bench.sides import Robot
 from tests.all.link.hosts import NEEDS_LINK, REPO
-from tests.all.link.live_robot import HEAVY, SLOW, TOPICS, is_confirmed, live_robot, topics
+from tests.all.link.live_robot import HEAVY, SLOW, TOPICS, confirmed, is_confirmed, live_robot
+from tests.scrape import metrics
 from tests.waiting import eventually
 
 pytestmark = [*NEEDS_LINK, pytest.mark.timeout(600)]
@@ -48,44 +48,30 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     eventually("every topic confirms its plan", lambda: is_confirmed(world))
     eventually(
         "each has been swapped",
-        lambda: all(sum(each["confirmed"]["swaps_by_result"].values()) for each in topics(world).values()),
+        lambda: all(each["swaps_by_result"] for each in confirmed(world).values()),
     )
-    before = topics(world)
-    for topic in before.values():
-        assert (
-            topic["confirmed"]["depth"] != topic["confirmed"]["baseline_depth"] or topic["confirmed"]["deadline_ns"]
-        ), topic
+    before = confirmed(world)
+    assert all(each["depth"] != each["baseline_depth"] or each["deadline_ns"] for each in before.values()), before
 
     world.link.set_rate(SLOW)
-    paced = []  # the rates and generations of the heavy topics once all of them are slowed
 
-    def are_slowed():
-        now = topics(world)
-        paced[:] = [now[name]["confirmed"] for name in HEAVY if name in now]
-        return len(paced) == len(HEAVY) and all(
-            now[name]["confirmed"]["paced_rate_hz"] < 0.8 * before[name]["confirmed"]["paced_rate_hz"] for name in HEAVY
-        )
+    def slowed():
+        now = confirmed(world)
+        return all(now[name]["paced_rate_hz"] < 0.8 * before[name]["paced_rate_hz"] for name in HEAVY) and now
 
-    eventually("the heavy topics are slowed", are_slowed)
-    assert {each["generation"] for each in paced} == {before[name]["confirmed"]["generation"] for name in HEAVY}
+    paced = eventually("the heavy topics are slowed", slowed)
+    assert all(paced[name]["generation"] == before[name]["generation"] for name in HEAVY)
 
-    def has_settled():
-        now = topics(world)
-        return is_confirmed(world) and all(
-            now[name]["confirmed"]["deadline_ns"] > before[name]["confirmed"]["deadline_ns"]
-            and now[name]["confirmed"]["swaps_begun"] != before[name]["confirmed"]["swaps_begun"]
-            for name in HEAVY
-        )
+    def settled():
+        now = confirmed(world)
+        has_longer = all(now[name]["deadline_ns"] > before[name]["deadline_ns"] for name in HEAVY)
+        return has_longer and is_confirmed(world) and now
 
-    eventually("the heavy topics have longer deadlines", has_settled)
-    after = topics(world)
-    for name in HEAVY:
-        assert after[name]["confirmed"]["generation"] > before[name]["confirmed"]["generation"], name
-    eventually("the estimate is the slow link's", lambda: is_slow(metric(url, "arpd_link_capacity_bytes_per_second")))
-    for topic in TOPICS:
-        assert f'topic="{topic}"' in scraped(url)
+    after = eventually("the heavy topics have longer deadlines", settled)
     # The application continued: the same publishers, counters without a restart.
-    assert all(after[name]["confirmed"]["offered"] > before[name]["confirmed"]["offered"] for name in HEAVY)
+    for count in ("generation", "swaps_begun", "offered"):
+        assert all(after[name][count] > before[name][count] for name in HEAVY), count
+    eventually("the estimate is the slow link's", lambda: is_slow(metric(url, "arpd_link_capacity_bytes_per_second")))
 
     now_s = time.monotonic()
     world.children[BASE].ask(do="begin", begin_s=now_s, from_s=now_s, until_s=now_s)
@@ -98,16 +84,8 @@ def test_a_drop_changes_the_qos_of_live_publishers_without_losing_a_command(live
     assert len(arrived()) == len(sent)
 
 
-def scraped(url):
-    def scrape():
-        with suppress(OSError), urllib.request.urlopen(f"{url}/metrics", timeout=30) as answer:
-            return answer.read().decode()
-
-    return eventually("the daemon answers", scrape)
-
-
 def metric(url, name):
-    return float(dict(line.rsplit(" ", 1) for line in scraped(url).splitlines() if line[0] != "#")[name])
+    return eventually("the daemon answers", lambda: metrics(url))[name]
 
 
 def is_slow(rate):
@@ -142,6 +120,15 @@ def test_cross_traffic_gets_room_and_gives_it_back(live):
     eventually("the upload is over", lambda: cross_traffic() < 0.1 * UPLOAD)
     eventually("the budget returns", lambda: budget() > 0.75 * SLOW)
     eventually("the plan returns", lambda: is_confirmed(world) and level() > 0.75 * SLOW)
+
+
+def test_a_thousand_publishers_are_found_planned_and_confirmed(tmp_path):
+    """All publishers of four nodes are planned by few plans, and confirm the last."""
+    names = ((f"/many/t{k}", f"talker{k % 4}") for k in range(1000))
+    many = Robot(topics=tuple(Topic(name=name, node=node, size=100, rate_hz=1.0) for name, node in names))
+    with live_robot(tmp_path, many) as (world, url):
+        eventually("all confirm one plan", lambda: is_confirmed(world))
+        assert metric(url, "arpd_plan_generation") < 10
 
 
 def test_the_demo_keeps_its_promise():

@@ -8,7 +8,7 @@ import statistics
 import struct
 import subprocess
 import sys
-from itertools import count
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -31,19 +31,15 @@ HEADERS_BYTES = 42  # Ethernet, IPv4, UDP: what the bucket counts besides the pa
 SO_TIMESTAMPNS = 35
 SO_RCVBUFFORCE = 33  # beyond what the machine allows a user
 
-_serial = count()
-
 
 @pytest.fixture
 def run_id():
-    return f"test-{os.getpid()}-{next(_serial)}"
+    return f"test-{os.getpid()}"
 
 
-def sender(link):
-    return inside(link.robot.namespace, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+def sockets(link):
+    """Return a socket to send with on the robot, and one on the base computer that says when the kernel received."""
 
-
-def receiver(link):
     def bound():
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 8_000_000)
@@ -52,43 +48,27 @@ def receiver(link):
         sock.settimeout(1.0)
         return sock
 
-    return inside(link.base.namespace, bound)
+    source = inside(link.robot.namespace, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    return source, inside(link.base.namespace, bound)
 
 
-def drain(sock, most=sys.maxsize):
-    """Return payload and kernel's arrival time (s) of packets, until silence or ``most`` of them."""
-    arrivals = []
-    while len(arrivals) < most:
-        try:
-            payload, ancillary, _, _ = sock.recvmsg(2048, 64)
-        except TimeoutError:
-            break
-        seconds, nanoseconds = struct.unpack("ll", ancillary[0][2][:16])
-        arrivals.append((payload, seconds + nanoseconds * 1e-9))
-    return arrivals
+def arrivals(link, source, sink, packets, payload_bytes):
+    """Send packets back to back, and return when each of those that arrived did (s)."""
+    for _ in range(packets):
+        source.sendto(bytes(payload_bytes), (link.base.address, PORT))
+    times_s = []
+    with suppress(TimeoutError):
+        while len(times_s) < packets:
+            _, ((_, _, stamp),), _, _ = sink.recvmsg(2048, 64)
+            seconds, nanoseconds = struct.unpack("ll", stamp[:16])
+            times_s.append(seconds + nanoseconds * 1e-9)
+    return times_s
 
 
-def delivery_rate(arrivals):
-    """Return the bytes after the first packet over the time they took (bytes/s)."""
-    wire_bytes = sum(len(payload) + HEADERS_BYTES for payload, _ in arrivals[1:])
-    return wire_bytes / (arrivals[-1][1] - arrivals[0][1])
-
-
-def flood_rate(link, source, sink):
-    """Return the rate of what a full queue delivers (bytes/s)."""
-    for _ in range(300):
-        source.sendto(bytes(1400), (link.base.address, PORT))
-    return delivery_rate(drain(sink))
-
-
-def train_rate(link, source, sink):
-    """Return the median rate of trains of 10 x 1200 B, sent back to back (bytes/s)."""
-    rates = []
-    for _ in range(9):
-        for _ in range(10):
-            source.sendto(bytes(1200), (link.base.address, PORT))
-        rates.append(delivery_rate(drain(sink, most=10)))
-    return statistics.median(rates)
+def rate(link, source, sink, packets, payload_bytes):
+    """Return the rate at which packets arrive that are sent back to back (Mbit/s)."""
+    times_s = arrivals(link, source, sink, packets, payload_bytes)
+    return (len(times_s) - 1) * (payload_bytes + HEADERS_BYTES) / (times_s[-1] - times_s[0]) / MBIT
 
 
 def namespaces_of(run_id):
@@ -99,11 +79,12 @@ def namespaces_of(run_id):
 def test_floods_and_trains_run_at_the_configured_rate(run_id, bottleneck):
     """At 5 and 20 Mbit/s a flood and even a short packet train have the configured rate."""
     trains, floods = {5: [], 20: []}, {5: [], 20: []}
-    with SimLink(run_id, bottleneck=bottleneck) as link, sender(link) as source, receiver(link) as sink:
+    with SimLink(run_id, bottleneck=bottleneck) as link:
+        ends = sockets(link)
         for mbit in (5, 20) * 3:
             link.set_rate(mbit * MBIT)
-            trains[mbit].append(train_rate(link, source, sink) / MBIT)
-            floods[mbit].append(flood_rate(link, source, sink) / MBIT)
+            trains[mbit] += [rate(link, *ends, 10, 1200) for _ in range(3)]
+            floods[mbit].append(rate(link, *ends, 300, 1400))
     print(f"Mbit/s of trains: {trains}, of floods: {floods}")
     for kind in (trains, floods):
         slow, fast = statistics.median(kind[5]), statistics.median(kind[20])
@@ -115,13 +96,10 @@ def test_floods_and_trains_run_at_the_configured_rate(run_id, bottleneck):
 def test_loss_comes_and_goes(run_id):
     """A fifth of the packets is lost at loss 0.2, none at 0 and all at 1, and lost packets have crossed the link."""
     with SimLink(run_id, rate_bytes_per_second=100 * MBIT, queue_bytes=500_000, loss=0.2) as link:
-        with sender(link) as source, receiver(link) as sink:
-            arrived = {}
-            for loss in (0.2, 0.0, 1.0):
-                link.set_loss(loss)
-                for _ in range(1500):
-                    source.sendto(bytes(100), (link.base.address, PORT))
-                arrived[loss] = len(drain(sink))
+        ends, arrived = sockets(link), {}
+        for loss in (0.2, 0.0, 1.0):
+            link.set_loss(loss)
+            arrived[loss] = len(arrivals(link, *ends, 1500, 100))
         assert 1125 < arrived[0.2] < 1275  # 1200 expected, five standard deviations (15.5) either side
         assert arrived[0.0] == 1500
         assert arrived[1.0] == 0

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 import threading
 import time
-import urllib.error
-import urllib.request
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-pytest.importorskip("pyroute2", reason="pyroute2 is not installed: pip install pyroute2")
-
 from arpd.report.conditions import MESSAGE_IDS, Happening
-from arpd.ros.runtime import FASTDDS_PROFILE
-from scripts.netns import simlink
-from scripts.netns.namespaces import NETNS_DIR
-from scripts.robot.proxy import window
-from tests.all.system import machine, numbered
+from tests.all.system.computers import CONFIG, ENV, SYSTEM_PYTHON, as_user
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.link, pytest.mark.ros]
+pytestmark = [pytest.mark.link, pytest.mark.ros, pytest.mark.timeout(900)]  # the first one builds a package
 
-REPO = Path(__file__).parents[3]
-UNITS = "/usr/lib/systemd/system"
-CONFIG = """\
+NODE = "/srv/node.py"
+RELAYED, OWN = "/link/numbered", "/own"
+SETTINGS = """\
 relay:
   topics:
     - {name: /numbered, overflow: queue, depth: 2000}
@@ -42,66 +29,64 @@ topics:
   - {name: /own, min_rate_hz: 50, max_rate_hz: 50, min_depth: 1000, max_depth: 1000, latency_budget: none}
 """
 BROKEN = "\nlink:\n  headrom: 0.5\n"
-HTTP_PORT = 9464
 CONFIRMED = "2 of 2 publishers confirmed"
 
 
-def installed_files(domain_id):
-    """Return the files of an installation, with Python, ROS and arpd of this checkout's venv."""
-    units = {f"{UNITS}/{unit.name}": unit for unit in REPO.glob("systemd/*.service")}
-    environment = (REPO / "systemd/arpd.default").read_text() + f"ARPD_ROS_SETUP=\nROS_DOMAIN_ID={domain_id}\n"
-    return {
-        **units,
-        "/usr/lib/arpd/arpd-launch": REPO / "systemd/arpd-launch",
-        "/usr/lib/sysusers.d/arpd.conf": REPO / "systemd/arpd.sysusers",
-        "/usr/lib/systemd/catalog/arpd.catalog": REPO / "systemd/arpd.catalog",
-        "/usr/lib/arpd/env/bin/arpd": Path(__file__).with_name("arpd-from-checkout"),
-        "/usr/lib/arpd/env/bin/python": machine.PYTHON / "bin" / Path(sys.executable).resolve().name,
-        "/usr/lib/arpd/env/pyvenv.cfg": f"home = {machine.PYTHON}/bin\ninclude-system-site-packages = false\n",
-        **{f"/usr/lib/arpd/env/{part}": Path("/srv/arpd/.venv", part) for part in ("lib", "share")},
-        "/etc/default/arpd": environment,
-        "/etc/arpd/arpd.yaml": CONFIG,
-    }
-
-
-class Reader:
-    """Reports of the application on the base computer: counts of each topic."""
-
-    def __init__(self, process):
-        self._process = process
-        self._reports = []
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def now(self):
-        """Return the next report, which covers everything until now."""
-        known = len(self._reports)
-        eventually("the reader reports again", lambda: len(self._reports) > known + 1)
-        return self._reports[-1]
-
-    def since(self, report):
-        """Return, per topic, samples that were lost and repeated since that report."""
-        now = self.now()
-        return {
-            topic: {count: now[topic][count] - report[topic][count] for count in ("lost", "doubled")} for topic in now
-        }
-
-    def _read(self):
-        for line in self._process.stdout:
-            self._reports.append(json.loads(line))
-
-
 class Deployment:
-    """A robot and a base computer, each with a systemd, and the application's reader."""
+    """The installed package at work on both computers, and a user's application on them."""
 
-    def __init__(self, robot, base, reader, url):
-        self.robot = robot
-        self.base = base
-        self.reader = reader
-        self._url = url
+    def __init__(self, computers):
+        self.robot, self.base = computers.robot, computers.base
+        self.numbers = {RELAYED: [], OWN: []}  # that the base computer has read
+        self._readers = []
+        for host, units in ((self.robot, ("arpd-relay", "arpd")), (self.base, ("arpd-peer",))):
+            computers.install("first", host)
+            host.write(NODE, Path(__file__).parents[1].joinpath("node.py").read_text())
+            host.write(CONFIG, SETTINGS)
+            enabled = host.call("systemctl", "enable", "--now", *units)
+            assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
+        self.run_application()
+        eventually("all units work", lambda: all_up(self))  # until then there is no relay that could carry samples
+
+    def run_application(self):
+        """Run a node on each computer: one that publishes on the robot, and one that reads."""
+        kind = "std_msgs/String"
+        for host, name, parts in (
+            (self.robot, "source", (f"write:/numbered:{kind}", f"adapt:{OWN}:{kind}")),
+            (self.base, "sink", (f"read:{topic}:{kind}" for topic in self.numbers)),
+        ):
+            profile = "FASTRTPS_DEFAULT_PROFILES_FILE=/usr/share/arpd/fastdds.xml"
+            process = host.popen(*as_user("env", profile, SYSTEM_PYTHON, "-u", NODE, name, *parts))
+            self._readers.append(threading.Thread(target=self._read, args=(process.stdout,), daemon=True))
+            self._readers[-1].start()
+
+    def end_application(self):
+        for host in (self.robot, self.base):
+            host.call("pkill", "-KILL", "--uid", "4242")
+        while self._readers:
+            self._readers.pop().join()
+        for numbers in self.numbers.values():
+            numbers.clear()
+
+    def _read(self, lines):
+        for line in lines:
+            if line.startswith(tuple(self.numbers)):
+                topic, number = line.split()
+                self.numbers[topic].append(int(number))
+            else:
+                print(line, end="")
+
+    def faults(self):
+        """Return how many samples of each topic are missing, and how many have come twice."""
+        known = len(self.numbers[OWN])
+        eventually("samples arrive", lambda: self.numbers[RELAYED] and len(self.numbers[OWN]) > known + 10)
+        read = {topic: list(numbers) for topic, numbers in self.numbers.items()}
+        lost = {topic: max(found) - min(found) + 1 - len(set(found)) for topic, found in read.items()}
+        return lost, {topic: len(found) - len(set(found)) for topic, found in read.items()}
 
     @property
     def config(self):
-        return self.robot.root / "etc/arpd/arpd.yaml"
+        return self.robot.path(CONFIG)
 
     def state(self, *properties):
         return self.robot.show("arpd", *properties)
@@ -112,15 +97,9 @@ class Deployment:
     def is_confirmed(self):
         return CONFIRMED in self.status_text()
 
-    def is_ready(self):
-        return self.get("/-/ready") is not None
-
-    def get(self, path):
-        try:
-            with urllib.request.urlopen(self._url + path, timeout=30.0) as answer:
-                return answer.read().decode() if answer.status == 200 else None
-        except (OSError, urllib.error.URLError):
-            return None
+    def status(self):
+        """Run `arpd status` on the robot."""
+        return self.robot.call("arpd", "status", "--json")
 
     def entries(self, host, *matches):
         """Return the matching entries of a computer's journal."""
@@ -135,46 +114,11 @@ class Deployment:
         return (("arpd", self.robot), ("arpd-relay", self.robot), ("arpd-peer", self.base))
 
 
-def start(link, host, log, *module):
-    environment = {
-        **os.environ,
-        "PYTHONPATH": f"{REPO}:{Path(__file__).parent}",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE),
-    }
-    argv = [sys.executable, "-u", "-m", *module]
-    return link.popen(host, argv, env=environment, cwd=REPO, stderr=log, stdout=subprocess.PIPE, text=True)
-
-
 @pytest.fixture(scope="module")
-def deployment(tmp_path_factory):
-    for can, why in (simlink.available(), machine.available()):
-        if not can:
-            pytest.skip(why)
-    folder = tmp_path_factory.mktemp("boot")
-    with ExitStack() as stack:
-        link = stack.enter_context(simlink.SimLink(f"boot-{os.getpid()}"))
-        log = stack.enter_context((folder / "log").open("w"))
-        start(link, "robot", log, "numbered", "source")
-        reader = Reader(start(link, "base", log, "numbered", "sink"))
-        robot, base = (
-            stack.enter_context(
-                machine.booted(
-                    f"arpd-{os.getpid()}-{host.name}",
-                    network=NETNS_DIR / host.namespace,
-                    files=installed_files(link.domain_id),
-                )
-            )
-            for host in link.hosts
-        )
-        for host, units in ((robot, ("arpd-relay", "arpd")), (base, ("arpd-peer",))):
-            updated = host.call("journalctl", "--update-catalog")
-            assert updated.returncode == 0, updated.stderr
-            enabled = host.call("systemctl", "enable", "--now", *units)
-            assert enabled.returncode == 0, enabled.stderr + "".join(map(host.journal, units))
-        url = stack.enter_context(window(link.robot, HTTP_PORT))
-        started = Deployment(robot, base, reader, url)
-        eventually("all units work", lambda: all_up(started))  # until then there is no relay that could carry samples
-        yield started
+def deployment(computers):
+    deployed = Deployment(computers)
+    yield deployed
+    deployed.end_application()
 
 
 @pytest.fixture
@@ -184,15 +128,13 @@ def relay_ends():
 
 @pytest.fixture(autouse=True)
 def no_sample_is_lost(request, deployment):
-    """During every test the applications' samples arrive, each of them once; pacing is told to withhold none."""
-    before = deployment.reader.now()
+    """During every test the application's samples arrive, each of them once; pacing is told to withhold none."""
+    before, _ = deployment.faults()
     yield
-    since = deployment.reader.since(before)
-    print(since)
-    for topic in (numbered.RELAYED, numbered.OWN):
-        assert since[topic]["doubled"] == 0
-        if topic == numbered.OWN or "relay_ends" not in request.fixturenames:
-            assert since[topic]["lost"] == 0
+    lost, doubled = deployment.faults()
+    assert set(doubled.values()) == {0}
+    assert lost[OWN] == before[OWN]
+    assert lost[RELAYED] == before[RELAYED] or "relay_ends" in request.fixturenames
 
 
 @pytest.fixture
@@ -240,7 +182,7 @@ def test_a_bad_configuration_fails_the_start_for_good(stopped):
             "NRestarts": "0",
         }
         assert "/etc/arpd/arpd.yaml:" in stopped.journal_of_this_start()
-        asked = stopped.robot.call("/usr/lib/arpd/env/bin/arpd", "status")
+        asked = stopped.status()
         assert (asked.returncode, "arpd check" in asked.stderr) == (3, True), asked.stderr
     finally:
         stopped.config.write_text(good)
@@ -258,12 +200,12 @@ def test_start_returns_when_the_daemon_runs(stopped):
 
     state = stopped.state("ActiveState", "MainPID", "NRestarts")
     assert (state["ActiveState"], state["NRestarts"]) == ("active", "0")
-    command = (stopped.robot.root / "proc" / state["MainPID"] / "cmdline").read_text().split("\0")
-    assert "python" in command[0]
-    assert command[1:4] == ["-m", "arpd.cli", "run"]
+    command = (stopped.robot.path("/proc") / state["MainPID"] / "cmdline").read_text().split("\0")
+    assert command[0].startswith(f"{ENV}/bin/python")
+    assert command[1:3] == [f"{ENV}/bin/arpd", "run"]
     log = stopped.journal_of_this_start()
     assert log.index("metrics at http://127.0.0.1:9464") < log.index("Started arpd.service")
-    eventually("the daemon is ready", stopped.is_ready)
+    eventually("the daemon is ready", lambda: json.loads(stopped.status().stdout or "{}").get("ready"))
 
 
 def test_status_says_what_the_link_carries(running):
@@ -279,6 +221,13 @@ def test_status_says_what_the_link_carries(running):
             f"{unit} feeds its watchdog",
             lambda: host.show(unit, "WatchdogTimestampMonotonic") != pinged,  # noqa: B023 - not kept
         )
+
+
+def test_the_daemon_tunes_a_users_node(running):
+    """The writer of a plain script, which has the package's library and the system's Python, is swapped to the plan."""
+    (own,) = (row["confirmed"] for row in json.loads(running.status().stdout)["topics"] if row["topic"] == OWN)
+    assert (own["depth"], own["refusal"]) == (1000, "")
+    assert own["swaps_by_result"]
 
 
 def test_the_journal_has_the_decision_log_as_fields(running):
@@ -306,7 +255,7 @@ def test_the_journal_has_the_decision_log_as_fields(running):
 def test_the_sandbox_is_in_force_while_data_flows(running, unit):
     """Each unit has a user of arpd's, no capabilities, few system calls and a read-only system, and DDS works."""
     computer = dict(running.hosts())[unit]
-    main = computer.root / "proc" / computer.show(unit, "MainPID")["MainPID"]
+    main = computer.path("/proc") / computer.show(unit, "MainPID")["MainPID"]
     assert main.stat().st_uid == int(computer.call("id", "--user", "arpd").stdout) != 0
     status = dict(line.split(":\t", 1) for line in (main / "status").read_text().splitlines() if ":\t" in line)
     assert {key: status[key].strip() for key in ("CapBnd", "CapEff", "NoNewPrivs", "Seccomp")} == {
@@ -370,8 +319,8 @@ def test_a_killed_relay_and_a_killed_peer_come_back(running):
     for unit, host in running.hosts()[1:]:
         come_back(unit, host, restarts=1)
     eventually("all units work", lambda: all_up(running))
-    newest = running.reader.now()[numbered.RELAYED]["newest"]
-    eventually("relayed samples arrive", lambda: running.reader.now()[numbered.RELAYED]["newest"] > newest)
+    newest = max(running.numbers[RELAYED])
+    eventually("relayed samples arrive", lambda: max(running.numbers[RELAYED]) > newest)
 
 
 @pytest.mark.usefixtures("relay_ends")
@@ -403,6 +352,8 @@ def test_stop_gives_the_publishers_their_qos_back(running):
 @pytest.mark.usefixtures("relay_ends")
 def test_a_reboot_brings_everything_back(deployment):
     """After a reboot of both computers the enabled units start, and the plan is in force again."""
+    deployment.end_application()  # it is no unit, so systemd would wait for it
     with ThreadPoolExecutor() as both:
         list(both.map(lambda host: host.reboot(), (deployment.robot, deployment.base)))
+    deployment.run_application()
     eventually("all units work", lambda: all_up(deployment))

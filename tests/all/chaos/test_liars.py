@@ -1,77 +1,66 @@
 """A real daemon and publisher beside a process that floods the network with false messages."""
 
-import os
-import subprocess
 import sys
 import time
-from pathlib import Path
+from contextlib import ExitStack
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from tests.all.chaos.world import DOMAIN, Log, World, status, this_host_only
+from scripts.bench.nodes import BASE_SINK
+from scripts.bench.samples import Topic
+from scripts.bench.sides import SIDES, Robot
+from scripts.bench.world import world_of
+from scripts.robot.proxy import HTTP_PORT, window
+from tests.all.link.hosts import NEEDS_LINK, REPO
 from tests.scrape import metrics
 from tests.waiting import eventually
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-HERE = Path(__file__).parent
+pytestmark = [*NEEDS_LINK, pytest.mark.timeout(120)]
 TOPIC = "/honest"
 AFTER_S = 3.0
 ENOUGH = 50
 CAPACITY_MBIT = 100.0
 
 
-def scraped(daemon):
-    """Return the series of a scrape that succeeds."""
-    return eventually("the daemon answers a scrape", lambda: metrics(daemon.url))
-
-
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    """Run a daemon, then a flood, and during the flood a publisher that gets a plan."""
-    with this_host_only(), World(tmp_path_factory.mktemp("liars")) as world:
-        yield play(world)
-
-
-def play(world):
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(HERE.parents[2]),
-        "ROS_DOMAIN_ID": str(DOMAIN),
-    }
-    rogue = subprocess.Popen(
-        [sys.executable, HERE / "rogue.py", TOPIC], env=environment, stdin=subprocess.PIPE, text=True
+    """Run a daemon without a peer, then a flood, and during the flood a publisher that gets a plan."""
+    robot = Robot(
+        topics=(Topic(name=TOPIC, node="honest", rate_hz=20.0, size=60),),
+        settings={"link": {"initial_capacity": f"{CAPACITY_MBIT}mbit"}},
     )
-    try:
-        daemon = world.daemon(link={"interface": "lo", "initial_capacity": f"{CAPACITY_MBIT}mbit"})
-        log = Log(world, "far", [TOPIC])
-        eventually("the daemon ticks", lambda: metrics(daemon.url).get("arpd_ticks_total", 0) > 5)
-        print("go", file=rogue.stdin, flush=True)
-        eventually("the flood arrives", lambda: refusals(daemon) > 500)
-        world.talker(TOPIC)
-        eventually("the honest one is confirmed", lambda: metrics(daemon.url).get("arpd_publishers_confirmed") == 1)
+    side = replace(SIDES["adaptive"], is_governed=False)
+    with (
+        world_of(robot, side, rate=20e6 / 8, logs=tmp_path_factory.mktemp("liars")) as world,
+        window(world.link.robot, HTTP_PORT) as url,
+        ExitStack() as stack,
+    ):
+        world.configure()
+        world.start_daemon("run")
+        eventually("the daemon ticks", lambda: metrics(url).get("arpd_ticks_total", 0) > 5)
+        argv = [sys.executable, "-m", "tests.all.chaos.rogue", TOPIC]
+        rogue = world.link.popen("robot", argv, cwd=REPO)
+        eventually("the flood arrives", lambda: refusals(url) > 500)
+        assert world.start(stack) == []
+        world.begin(3600.0)
+        eventually("the honest one is confirmed", lambda: metrics(url).get("arpd_publishers_confirmed") == 1)
         seen, until_s = [], time.monotonic() + AFTER_S
         while time.monotonic() < until_s:
-            seen.append(scraped(daemon))
+            seen.append(eventually("the daemon answers a scrape", lambda: metrics(url)))
             time.sleep(0.2)
-        eventually("the status has a topic", lambda: status(daemon).get("topics"))
-        last_status = status(daemon)
-        eventually("the honest samples arrive", lambda: len(log.numbers[TOPIC]) > ENOUGH)
+        status = eventually("the daemon answers", world.status)
+        sink = world.children[BASE_SINK]
+        eventually("the honest samples arrive", lambda: len(sink.ask(do="report")["arrivals"][TOPIC]) > ENOUGH)
         assert rogue.poll() is None
-        return SimpleNamespace(
-            seen=seen,
-            status=last_status,
-            log=daemon.log(),
-        )
-    finally:
-        rogue.kill()
-        rogue.wait()
+        yield SimpleNamespace(seen=seen, status=status, log=(world.workdir / "run.log").read_text())
 
 
-def refusals(daemon):
-    return sum(value for name, value in metrics(daemon.url).items() if name.startswith("arpd_messages_refused_total"))
+def refusals(url):
+    return sum(value for name, value in metrics(url).items() if name.startswith("arpd_messages_refused_total"))
 
 
 def test_an_honest_publisher_is_planned_for_in_a_flood(outcome):

@@ -1,4 +1,4 @@
-"""A process that floods arpd's topics with false messages, from its first line of input until it is killed."""
+"""A process that floods arpd's topics with false messages, until it is killed."""
 
 import json
 import random
@@ -35,9 +35,9 @@ def snapshot(node, *topics):
 
 
 def report(name, number):
-    trains = (Train(payload_bytes=1_000_000, duration_s=8e-6, packets=24),)
+    trains = (Train(payload_bytes=1_000_000, duration_s=1e-4, packets=24),)
     message = PeerReport(
-        peer=name, received_at_s=0.0, interval_s=0.1, rx_bytes=2**32 - 1, rx_packets=9, trains=trains, last_probe=number
+        peer=name, received_at_s=0.0, interval_s=0.1, rx_bytes=10**9, rx_packets=9, trains=trains, last_probe=number
     )
     return serialize_message(encode_report(message))
 
@@ -70,7 +70,6 @@ qos = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 to_daemon, *to_fill = (node.create_publisher(UInt8MultiArray, PUBLISHERS_TOPIC, qos) for _ in range(1 + WRITERS))
 to_reports = node.create_publisher(UInt8MultiArray, REPORT_TOPIC, qos)
 to_daemons = node.create_publisher(Float64MultiArray, PRICE_TOPIC, qos)
-sys.stdin.readline()
 due_s = time.monotonic()
 batch = 0
 while True:

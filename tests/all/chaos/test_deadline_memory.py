@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
+from tests.ros.conftest import _own_network, environment, ros, stack  # noqa: F401 - pytest finds them here
 
 pytestmark = pytest.mark.ros
 READS = 20_000
@@ -21,7 +22,7 @@ def resident_bytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def test_reading_the_count_leaks_no_memory(ros):
+def test_reading_the_count_leaks_no_memory(ros):  # noqa: F811 - the fixture
     """Twenty thousand reads of the count take next to no memory."""
     profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
     writer = AdaptivePublisher(ros.node("talker"), String, "/silent", profile)._writer
