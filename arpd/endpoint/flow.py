@@ -115,12 +115,9 @@ class Flow(Generic[W]):
             self._on_held()
 
     def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
-        """Take new settings, of which the queue gives the lane its rates: depth and deadline come by a swap.
+        """Take new settings, of which the queue gives the lane its rates; the writer gets this QoS by a swap.
 
-        Parameters
-        ----------
-        plan : settings as requested
-        qos : QoS for the writer, after refusals
+        It is the plan's, unless the publisher refuses that.
         """
         with self._lock:
             self._plan = plan
@@ -131,12 +128,7 @@ class Flow(Generic[W]):
         self._swap.loss_ratio = loss_ratio
 
     def service(self, now_s: float) -> float:
-        """Take a step of the swap, and write the samples that it held.
-
-        Returns
-        -------
-        Time of the next call, ``inf`` = not before something changes (s).
-        """
+        """Take a step of the swap, and write what it held; return when to call again, inf = when asked (s)."""
         if not (self._swap.is_busy or self._held):
             return math.inf
         self._step(now_s)

@@ -119,10 +119,7 @@ class NodePublishers:
     def adopt(self, publisher: Paced) -> None:
         """Give a publisher its price and its row of the plan, now and from now on.
 
-        Raises
-        ------
-        ValueError
-            If the node has one on this topic already: a plan has one row for both.
+        Raises ValueError if the node has one on this topic already: a plan has one row for both.
         """
         topic = publisher.topic_name
         if topic in self._publishers:
@@ -252,13 +249,7 @@ class NodePublishers:
         self.hurry()
 
     def _checked_rows(self, plan: PlanMessage) -> list[tuple[Paced, TopicPlan]]:
-        """Return the rows of this node's publishers.
-
-        Raises
-        ------
-        ValueError
-            If the plan is refused.
-        """
+        """Return the rows of this node's publishers; raises ValueError if the plan is refused."""
         if plan.generation < (in_force := self._answer.generation):
             raise ValueError(f"generation {plan.generation} is older than {in_force}, the plan in force")
         return [

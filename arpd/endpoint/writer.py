@@ -124,14 +124,7 @@ class RosWriter:
 
 
 def swap_failure(result: SwapResult, qos: WriterQos, *, requests: Requests, offered_ns: int) -> str:
-    """Return in words why a writer swap failed.
-
-    Parameters
-    ----------
-    result, qos : of the swap
-    requests : what the readers of the topic request
-    offered_ns : deadline of the writer that stays (ns)
-    """
+    """Return in words why a swap to this QoS failed, where the writer that stays offers the deadline ``offered_ns``."""
     if result is SwapResult.FAILED:
         reason = f"the middleware refused a writer with depth {qos.depth} and deadline {qos.deadline_ns} ns"
     elif lost := requests.lost(offered_ns, qos.deadline_ns):
@@ -142,13 +135,7 @@ def swap_failure(result: SwapResult, qos: WriterQos, *, requests: Requests, offe
 
 
 def serialized(msg: Any, msg_type: Any) -> bytes:
-    """Return the bytes of a message, or the message itself where it is serialized already.
-
-    Raises
-    ------
-    TypeError
-        If it is neither of the type nor bytes.
-    """
+    """Return the bytes of a message, or of one that is serialized already; raises TypeError if it is neither."""
     if isinstance(msg, bytes):
         return msg
     if isinstance(msg, msg_type):
@@ -165,19 +152,12 @@ def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
 
 
 def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
-    """Return a profile with the depth and the deadline that the start of the process gives a publisher.
+    """Return a profile with the depth and the deadline that the start of the process gives a publisher of this topic.
 
     A parameter file or ``--ros-args -p`` gives them under ROS 2's standard names (design.ros2.org, "QoS Overrides by
     Parameters"). They are the application's own QoS from then on; their parameters are read-only, as rclpy's are.
 
-    Parameters
-    ----------
-    topic : fully qualified name
-
-    Raises
-    ------
-    ValueError
-        If one is out of bounds; the message names the parameter.
+    Raises ValueError, which names the parameter, if one is out of bounds.
     """
     own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
     found = {}

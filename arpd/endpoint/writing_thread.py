@@ -108,13 +108,7 @@ class WritingThread:
             self._wake_for_queue()
 
     def offer(self, lane: Lane, message: bytes, *, source: Hashable = None, lifespan_ns: int = 0) -> None:
-        """Let a message wait for its turn.
-
-        Parameters
-        ----------
-        source : its writer
-        lifespan_ns : LIFESPAN of that, 0 = infinite (ns)
-        """
+        """Let a message of a writer with this LIFESPAN wait for its turn; 0 = infinite (ns)."""
         now_s = self._clock()
         expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
         with self._lock:

@@ -83,9 +83,7 @@ class Graph:
 def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Graph:
     """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
 
-    Parameters
-    ----------
-    first : topics to read first, in case there are too many
+    Topics in ``first`` are read first, in case there are too many.
     """
     robot_host = view.own.host if rmw.tells_hosts else None
     names = [topic for topic in view.types if not is_internal(topic) and is_full_name(topic)]

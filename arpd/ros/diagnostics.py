@@ -29,13 +29,7 @@ _EVERY_S = 1.0
 
 
 class Diagnostics:
-    """Publishes once a second and soon after every event, while somebody subscribes and `look` is called.
-
-    Parameters
-    ----------
-    node : rclpy node
-    snapshot : returns the last snapshot, None before the first tick finished
-    """
+    """Publishes once a second and soon after every event, while somebody subscribes and `look` is called."""
 
     def __init__(
         self,

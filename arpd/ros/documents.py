@@ -23,18 +23,7 @@ def pack(document: Any, *, likely: bytes = b"") -> bytes:
 
 
 def expand(data: bytes, *, most_bytes: int, likely: bytes = b"") -> bytes:
-    """Return the text of a message.
-
-    Parameters
-    ----------
-    most_bytes : of that text
-    likely : as in `pack`
-
-    Raises
-    ------
-    ValueError
-        If it is longer, or no such message.
-    """
+    """Return the text of a message; raises ValueError if it is longer than ``most_bytes``, or no such message."""
     if data[:1] != b"{":
         try:
             data = zlib.decompressobj(_RAW, zdict=likely).decompress(data, most_bytes + 1)

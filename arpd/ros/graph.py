@@ -62,30 +62,15 @@ class Endpoint:
 
 
 def writers_of(node: Node, topic: str) -> tuple[Endpoint, ...]:
-    """Read the writers of a topic now.
+    """Read the writers of a topic, by its full name, now; any node sees the whole graph.
 
-    Parameters
-    ----------
-    node : any node; it sees the whole graph
-    topic : fully qualified topic name
-
-    Raises
-    ------
-    RuntimeError
-        If the middleware has no answer.
-    ValueError
-        If a name is no text.
+    Raises RuntimeError if the middleware has no answer, and ValueError if a name is no text.
     """
     return _endpoints(rclpy_implementation.rclpy_get_publishers_info_by_topic, node, topic)
 
 
 def readers_of(node: Node, topic: str, *, is_of_dds: bool = False) -> tuple[Endpoint, ...]:
-    """Read the readers of a topic now; the parameters and errors are those of `writers_of`.
-
-    Parameters
-    ----------
-    is_of_dds : whether ``topic`` is the name that DDS has for it
-    """
+    """Read the readers of a topic now, as `writers_of` does; perhaps by the name that DDS has for it."""
     return _endpoints(rclpy_implementation.rclpy_get_subscriptions_info_by_topic, node, topic, is_of_dds=is_of_dds)
 
 
@@ -141,13 +126,7 @@ def type_name_of(msg_type: Any) -> str:
 
 
 class Requests:
-    """QoS that the readers of a topic request, read at each question.
-
-    Parameters
-    ----------
-    node : any node; it sees the whole graph
-    topic : fully qualified topic name
-    """
+    """QoS that the readers of a topic request, read at each question."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._node = node

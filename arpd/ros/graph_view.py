@@ -40,23 +40,21 @@ class GraphView:
     Parameters
     ----------
     node : the first node that asks; it must live as long as the others
-    clock : monotonic clock (s)
 
     Attributes
     ----------
     own : a writer of the node; its GUID names this process and this host
     """
 
-    def __init__(self, node: Node, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._clock = clock
         self._lock = threading.RLock()
         self._waits = rclpy_implementation.WaitSet(0, 1, 0, 0, 0, 0, node.context.handle)
         self._known: dict[tuple[str, str], Any] = {}
         self._types: Mapping[str, Sequence[str]] = {}
         self._services: Mapping[str, Sequence[str]] = {}
         self._changes = 0
-        self._noticed_s = clock()
+        self._noticed_s = time.monotonic()
         self._spent_s = 0.0  # on reading since then
         self.own = Endpoint(gid=rcl().gid_of(next(iter(node.publishers)).handle), node=node.get_fully_qualified_name())
 
@@ -68,7 +66,7 @@ class GraphView:
     def look(self) -> int:
         """Forget what was read if the graph has changed since; return how often it has."""
         with self._lock:
-            now_s = self._clock()
+            now_s = time.monotonic()
             if now_s - self._noticed_s >= self.rest_s and self._has_changed():
                 self._known.clear()
                 self._changes += 1
@@ -127,7 +125,7 @@ class GraphView:
         """Return what was read since the last change, or read it now; the default where that fails."""
         with self._lock:
             if (kind, name) not in self._known:
-                begun_s = self._clock()
+                begun_s = time.monotonic()
                 try:
                     self._known[kind, name] = read()
                 except InvalidHandle:
@@ -135,7 +133,7 @@ class GraphView:
                 except (RuntimeError, ValueError) as fault:
                     log.debug("%s of %s left out: %s", kind, name, fault)
                     self._known[kind, name] = default
-                self._spent_s += self._clock() - begun_s
+                self._spent_s += time.monotonic() - begun_s
             found: T = self._known[kind, name]
             return found
 

@@ -52,13 +52,7 @@ def encode_snapshot(
     lacks_profile: bool = False,
     relay: RelaySummary | None = None,
 ) -> bytes:
-    """Return a node's message.
-
-    Parameters
-    ----------
-    states : of its publishers
-    lacks_profile : whether its process runs without arpd's Fast DDS profile
-    """
+    """Return a node's message, with the states of its publishers."""
     document: dict[str, Any] = {"node": node, "publishers": _columns_of(tuple(states))}
     if answer != NO_PLAN:
         document["answer"] = {**dataclasses.asdict(answer), "refusal": shown_words(answer.refusal)}

@@ -25,10 +25,8 @@ class OtherDaemons:
 
     Parameters
     ----------
-    node : the daemon's node
-    own : GUID of its own writer of prices
+    own : GUID of the daemon's own writer of prices
     tells_hosts : whether GUIDs name the host
-    clock : monotonic clock (s)
 
     Attributes
     ----------

@@ -41,13 +41,6 @@ class Peer:
     """Takes probes, and sends reports; `serving` reads for it.
 
     While the interface is gone a report has no byte counts; delays and trains that arrived another way are reported.
-
-    Parameters
-    ----------
-    publish : sends an encoded report
-    reader : of the link interface of this host
-    name : name of the peer in its reports
-    clock : monotonic clock (s)
     """
 
     def __init__(

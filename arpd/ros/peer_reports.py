@@ -54,9 +54,7 @@ class PeerReports:
     def note(self, report: PeerReport, *, must_answer: bool = True) -> MessageRefusal | None:
         """Keep a report, with our own number of its probe, or return why it is refused.
 
-        Parameters
-        ----------
-        must_answer : False while another daemon sends the probes
+        It need not answer while another daemon sends the probes.
         """
         with self._lock:
             answered = (report.last_probe - self._base) % _NUMBERS

@@ -64,13 +64,7 @@ def encode_plan(*, generation: int, lease_s: float, topics: Mapping[str, TopicPl
 
 
 def decode_plan(data: bytes) -> PlanMessage:
-    """Read a plan.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no plan, or its generation or lease is out of bounds; the message names the fault.
-    """
+    """Read a plan; raises ValueError, which names the fault, also where generation or lease is out of bounds."""
     document = unpack(data, most_bytes=MOST_BYTES)
     rows = document.get("rows")
     if not isinstance(rows, dict):
@@ -81,10 +75,7 @@ def decode_plan(data: bytes) -> PlanMessage:
 def checked_row(topic: str, row: Any, own: WriterQos) -> TopicPlan:
     """Return the row of a plan message for a publisher whose application chose ``own``.
 
-    Raises
-    ------
-    ValueError
-        If a value is missing or out of bounds; the message names topic and field.
+    Raises ValueError, which names topic and field, if a value is missing or out of bounds.
     """
     if not isinstance(row, list) or len(row) != len(ROW):
         raise ValueError(f"{topic}: {str(row)[:80]!r} has not the numbers {', '.join(ROW)}")
@@ -98,10 +89,7 @@ def checked_row(topic: str, row: Any, own: WriterQos) -> TopicPlan:
 def checked(name: str, value: Any, own: WriterQos | None = None) -> Any:
     """Return a number of a plan within its bounds; the application's own depth and deadline always are.
 
-    Raises
-    ------
-    ValueError
-        If it is out of bounds; the message names the field.
+    Raises ValueError, which names the field, if it is out of bounds.
     """
     if name == "rate_hz" and value is None:
         return math.inf

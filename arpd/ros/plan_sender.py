@@ -32,10 +32,6 @@ class PlanSender:
     """Sends the plan when it is new, and while nodes do not show it, after a growing time.
 
     A node that starts later finds the last plan, which the writer keeps.
-
-    Parameters
-    ----------
-    node : rclpy node of the writer
     """
 
     def __init__(self, node: Any) -> None:
@@ -61,14 +57,7 @@ class PlanSender:
         answers: Mapping[str, PlanAnswer],
         now_s: float,
     ) -> None:
-        """Send the plan if it is new or due again; returns at once.
-
-        Parameters
-        ----------
-        lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
-        missing : nodes that do not show the plan yet
-        answers : last answers of all nodes
-        """
+        """Send the plan if it is new or due again, because nodes do not show it; returns at once."""
         self._read(answers)
         if not missing:
             return

@@ -21,13 +21,7 @@ def encode_price(price: Price) -> list[float]:
 
 
 def decode_price(numbers: Sequence[float]) -> Price:
-    """Return the price of a message.
-
-    Raises
-    ------
-    ValueError
-        If the numbers are no price; the message names the fault.
-    """
+    """Return the price of a message; raises ValueError, which names the fault."""
     if len(numbers) != 1 + len(_FIELDS) or numbers[0] != _VERSION:
         raise ValueError(f"price of {len(numbers)} numbers; {1 + len(_FIELDS)} are needed, the first {_VERSION:g}")
     found = dict(zip(_FIELDS, numbers[1:], strict=True))

@@ -86,10 +86,7 @@ def encode_report(report: PeerReport) -> Any:
 def decode_report(data: bytes) -> PeerReport:
     """Decode a report from the bytes of its message; when it arrived, and how late, its reader knows.
 
-    Raises
-    ------
-    ValueError
-        If it is malformed, or its values are impossible.
+    Raises ValueError if it is malformed, or its values are impossible.
     """
     if len(data) < _REPORT.size or data[0] != _REPORT_VERSION:
         raise ValueError("not a peer report of this version")

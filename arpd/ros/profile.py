@@ -13,7 +13,7 @@ from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-INSTALLED_PROFILE = Path("/usr/share/arpd/fastdds.xml")
+_INSTALLED = Path("/usr/share/arpd/fastdds.xml")  # by the Debian package
 _IN_FOLDER = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")  # Fast DDS reads these, too
 # A transport has an element for its size of messages, writers and participants a property.
 _SETTINGS = {
@@ -27,24 +27,15 @@ _WITHOUT = (
 _warned = threading.Lock()  # held for good by the first that warns
 
 
-def profile_line(installed: Path = INSTALLED_PROFILE) -> str:
-    """Return the line of a shell that gives the profile to processes started after it.
-
-    Parameters
-    ----------
-    installed : path that the Debian package has; the file beside this module serves where it is missing
-    """
-    return f"export {PROFILE_VARIABLES[0]}={installed if os.access(installed, os.R_OK) else FASTDDS_PROFILE}"
+def profile_line() -> str:
+    """Return the line of a shell that gives the profile to processes started after it."""
+    return f"export {PROFILE_VARIABLES[0]}={_INSTALLED if os.access(_INSTALLED, os.R_OK) else FASTDDS_PROFILE}"
 
 
 def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
-    """Return what the profiles that Fast DDS reads do not set, in words; empty if they set all.
+    """Return what the profiles that Fast DDS reads in a folder do not set, in words; empty if they set all.
 
     A profile of the user's own is as good as arpd's if it has both settings, whatever their values.
-
-    Parameters
-    ----------
-    environment, folder : environment and working directory of the process
     """
     named = [Path(environment[name]) for name in PROFILE_VARIABLES if environment.get(name)]
     read = {path: text for path in (*named, *map(folder.joinpath, _IN_FOLDER)) if (text := _text(path))}
@@ -61,13 +52,7 @@ def missing_here() -> str:
 
 
 def warn_once(logger: Any, missing: str) -> None:
-    """Say once per process what is missing, and the line that mends it.
-
-    Parameters
-    ----------
-    logger : logger of a node
-    missing : what `missing_in_profile` returned; nothing is said if it is empty
-    """
+    """Say once per process what `missing_in_profile` returned, if anything, and the line that mends it."""
     if missing and _warned.acquire(blocking=False):
         logger.warning(_WITHOUT.format(why=missing, line=profile_line()))
 

@@ -15,13 +15,7 @@ _MOST_SOURCES = 1000  # as many nodes as any robot has
 class RateLimit:
     """Lets so much of every source through in each period, so a sender that floods takes nothing from the others.
 
-    Sources are bounded: while more send, those that come late count as one.
-
-    Parameters
-    ----------
-    most : of each source in a period
-    period_s : its length (s)
-    most_sources : in a period
+    Sources are bounded: while more send in a period than that, those that come late count as one.
     """
 
     def __init__(self, most: float, *, period_s: float, most_sources: int = _MOST_SOURCES) -> None:

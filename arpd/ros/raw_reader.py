@@ -324,10 +324,7 @@ class RawReader:
 def octets(data: bytes) -> bytes:
     """Return the content of a serialized UInt8MultiArray without dimensions; arpd's have none.
 
-    Raises
-    ------
-    ValueError
-        If the bytes are no such array.
+    Raises ValueError if the bytes are no such array.
     """
     size, _order = _head(data)
     held = data[16 : 16 + size]

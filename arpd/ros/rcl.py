@@ -132,13 +132,7 @@ class Outlet:
         self._reference = ctypes.byref(self._message)
 
     def publish(self, sample: bytes) -> None:
-        """Publish a serialized sample; blocks while the link's queue is full.
-
-        Raises
-        ------
-        RuntimeError
-            If rcl refuses it.
-        """
+        """Publish a sample; blocks while the link's queue is full, and raises RuntimeError if rcl refuses it."""
         message = self._message
         message.buffer = sample
         message.length = message.capacity = len(sample)

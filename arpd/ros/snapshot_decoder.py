@@ -131,13 +131,7 @@ _SNAPSHOT: Any = create_model(
 
 
 def decode_snapshot(data: bytes) -> NodeSnapshot:
-    """Return what a node tells.
-
-    Raises
-    ------
-    ValueError
-        If a value is missing, malformed or out of range; the message names it.
-    """
+    """Return what a node tells; raises ValueError, which names the value that is missing, malformed or out of range."""
     text = expand(data, most_bytes=MOST_BYTES, likely=LIKELY)
     try:
         told = _SNAPSHOT.model_validate_json(text)
@@ -159,10 +153,7 @@ def decode_snapshot(data: bytes) -> NodeSnapshot:
 def _rows(columns: dict[str, list[Any]], common: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the fields of each publisher.
 
-    Raises
-    ------
-    ValueError
-        If the lists are not of one length, or some publisher lacks a field that has no usual value.
+    Raises ValueError if the lists are not of one length, or lack a field that has no usual value.
     """
     if columns and not columns.keys() >= _NEEDED:
         raise ValueError(f"publishers lack {', '.join(sorted(_NEEDED - columns.keys()))}")

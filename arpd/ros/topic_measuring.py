@@ -45,8 +45,6 @@ class TopicSurvey:
     prefix : under which a relay with one end republishes topics; empty = there is none
     is_of_interest : returns whether to list a topic, by its name
     on_progress : called with the time of the measurement that has passed (s), and what happens
-    clock : monotonic clock (s)
-    sleep : waits for the given time (s)
     """
 
     def __init__(
@@ -55,16 +53,10 @@ class TopicSurvey:
         *,
         prefix: str,
         is_of_interest: Callable[[str], bool],
-        on_progress: Callable[[float, str], None] = lambda _elapsed_s, _what: None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        on_progress: Callable[[float, str], None],
     ) -> None:
-        self._node = node
-        self._prefix = prefix
-        self._is_of_interest = is_of_interest
-        self._on_progress = on_progress
-        self._clock = clock
-        self._sleep = sleep
+        self._node, self._prefix = node, prefix
+        self._is_of_interest, self._on_progress = is_of_interest, on_progress
         self._rmw = current_rmw()
         self._blind = cannot_tell_hosts(self._rmw)
         self._graph = LinkGraph(GraphView.of(node), self._rmw)
@@ -95,28 +87,28 @@ class TopicSurvey:
     def _discover(self) -> None:
         """Read the graph until it has not changed for a while."""
         self._on_progress(0.0, "looking for nodes")
-        begun_s = changed_s = self._clock()
-        while (now_s := self._clock()) - begun_s < _LONGEST_DISCOVERY_S:
+        begun_s = changed_s = time.monotonic()
+        while (now_s := time.monotonic()) - begun_s < _LONGEST_DISCOVERY_S:
             if now_s - begun_s >= _DISCOVERY_S and now_s - changed_s >= _QUIET_S + self._graph.view.rest_s:
                 break
             if self._graph.look():
-                changed_s = self._clock()
-            self._sleep(_LOOK_S)
+                changed_s = time.monotonic()
+            time.sleep(_LOOK_S)
 
     def _measure(self, seconds: float) -> None:
         """Measure also topics that appear meanwhile; without a topic there is nothing to wait for."""
-        begun_s = self._clock()
+        begun_s = time.monotonic()
         look_s = begun_s + _LOOK_AGAIN_S
         self._begin_all()
-        while (self._running or self._traffic) and (elapsed_s := self._clock() - begun_s) < seconds:
+        while (self._running or self._traffic) and (elapsed_s := time.monotonic() - begun_s) < seconds:
             self._on_progress(elapsed_s, f"measuring {len(self._running)} topics")
             for name in [name for name, (meter, _reader) in self._running.items() if meter.has_enough]:
                 self._end(name)
-            if (now_s := self._clock()) >= look_s:
+            if (now_s := time.monotonic()) >= look_s:
                 look_s = now_s + _LOOK_AGAIN_S
                 if self._graph.look():
                     self._begin_all()
-            self._sleep(min(_TURN_S, seconds - elapsed_s))
+            time.sleep(min(_TURN_S, seconds - elapsed_s))
 
     def _listed(self) -> list[LinkTopic]:
         return [topic for topic in self._graph.topics(prefix=self._prefix) if self._is_of_interest(topic.name)]
@@ -139,10 +131,10 @@ class TopicSurvey:
         keeps = all(writer.is_latched and writer.is_reliable for writer in topic.writers)
         qos = QoSProfile(depth=_DEPTH, **policies_of(is_reliable=keeps, is_latched=keeps))
         has_history = any(writer.is_latched for writer in topic.writers)
-        meter = TopicMeter(rated_from_s=self._clock() + _HISTORY_S * has_history)
+        meter = TopicMeter(rated_from_s=time.monotonic() + _HISTORY_S * has_history)
 
         def deliver(sample: Sample) -> None:
-            meter.add(writer=sample.writer, number=sample.sequence, size_bytes=len(sample.data), at_s=self._clock())
+            meter.add(writer=sample.writer, number=sample.sequence, size_bytes=len(sample.data), at_s=time.monotonic())
 
         try:
             kind = message_class(topic.types[0])
@@ -155,4 +147,4 @@ class TopicSurvey:
     def _end(self, name: str) -> None:
         meter, reader = self._running.pop(name)
         reader.destroy()
-        self._traffic[name] = meter.traffic(self._clock())
+        self._traffic[name] = meter.traffic(time.monotonic())

@@ -39,12 +39,8 @@ class _Writer:
 class TopicMeter:
     """Counts the samples of one topic.
 
-    Each writer numbers its samples, so a sample that a best-effort reader lost still counts for the rate.
-
-    Parameters
-    ----------
-    rated_from_s : when samples begin to count for the rate; those of a latched topic's history arrive before, and
-        count for the size alone; monotonic clock (s)
+    Each writer numbers its samples, so a sample that a best-effort reader lost still counts for the rate. Those of a
+    latched topic's history arrive before ``rated_from_s`` (monotonic clock) and count for the size alone.
     """
 
     def __init__(self, *, rated_from_s: float) -> None:

@@ -85,7 +85,6 @@ class RosControl:
         graph: GraphSettings,
         on_report: Callable[[], None],
         has_two_ends: bool = False,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._node = node
         self._domain = node.context.get_domain_id()
@@ -99,7 +98,6 @@ class RosControl:
         self._radio_fault = ""
         self._graph_settings = graph
         self._on_report_arrived = on_report
-        self._clock = clock
         self._reports = PeerReports(secrets.randbelow(2**32))
         self._snapshots: deque[tuple[bytes, NodeSnapshot, float]] = deque(maxlen=_MOST_SNAPSHOTS)  # with their arrival
         self._view = GraphView.of(node)
@@ -118,14 +116,14 @@ class RosControl:
         self._nodes = Nodes()  # of the thread that ticks
         self._sender = PlanSender(node)
         own = rcl().gid_of(self._price_publisher.handle)
-        self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts, clock=clock)
+        self._daemons = OtherDaemons(node, own, tells_hosts=self._rmw.tells_hosts)
         self._inboxes: dict[MessageKind, Inbox[Any]] = {
-            MessageKind.PUBLISHERS: Inbox(node, _SNAPSHOTS, many, self._on_snapshot, clock=clock),
-            MessageKind.REPORTS: Inbox(node, _REPORTS, best_effort, self._on_report, clock=clock),
+            MessageKind.PUBLISHERS: Inbox(node, _SNAPSHOTS, many, self._on_snapshot),
+            MessageKind.REPORTS: Inbox(node, _REPORTS, best_effort, self._on_report),
             MessageKind.PRICES: self._daemons.inbox,
         }
         self._has_two_ends = has_two_ends
-        self._began_s = clock()
+        self._began_s = time.monotonic()
         # The tick must stay short, and so must the reading of messages.
         threading.Thread(target=self._look_around, name="arpd-looking", daemon=True).start()
 
@@ -217,11 +215,11 @@ class RosControl:
                 self._inboxes[MessageKind.PUBLISHERS].refuse(MessageRefusal.QUOTA, writer, words)
 
     def _on_snapshot(self, sample: Sample, snapshot: NodeSnapshot) -> None:
-        self._snapshots.append((sample.writer, snapshot, self._clock()))
+        self._snapshots.append((sample.writer, snapshot, time.monotonic()))
 
     def _on_report(self, sample: Sample, report: PeerReport) -> None:
         return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
-        report = replace(report, received_at_s=self._clock(), return_delay_s=return_delay_s)
+        report = replace(report, received_at_s=time.monotonic(), return_delay_s=return_delay_s)
         refusal = self._reports.note(report, must_answer=not self._daemons.active_daemon())
         if refusal is None:
             self._on_report_arrived()
@@ -245,8 +243,8 @@ class RosControl:
             try:
                 self._memory = read_memory()
                 self._read_graph()
-                if self._clock() >= radio_s:
-                    radio_s = self._clock() + _RADIO_S
+                if time.monotonic() >= radio_s:
+                    radio_s = time.monotonic() + _RADIO_S
                     self._read_radio()
             except InvalidHandle:
                 return

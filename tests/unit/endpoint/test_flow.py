@@ -179,30 +179,6 @@ def possible_causes(world, *, is_broken):
     return {WithheldCause.BLOCKED} | priced | paced | ({WithheldCause.FAILED} if is_broken else set())
 
 
-def run(world, *, rate_hz, seconds):
-    """Let an application publish at a rate; return the samples withheld meanwhile, by cause."""
-    before = Counter(world.flow.state().withheld_by_cause)
-    for number in range(round(rate_hz * seconds)):
-        world.publish(name(number))
-        world.wait(1.0 / rate_hz)
-        if number % round(rate_hz) == 0:
-            world.flow.state()  # as the announcement does
-    return dict(Counter(world.flow.state().withheld_by_cause) - before)
-
-
-def test_what_gives_way_to_the_ceiling_is_told_from_what_gives_way_to_the_price():
-    """The price is the cause only while it makes the rate lower than the plan's."""
-    world = World()
-    world.retune(rate_hz=20.0, min_rate_hz=20.0, **TERMS)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
-    world.set_price(price(10.0))
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}, "it lowers nothing below the floor"
-    world.retune(rate_hz=40.0, min_rate_hz=1.0)
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.PRICE}
-    world.set_price(price(40.0))
-    assert run(world, rate_hz=100.0, seconds=2.0).keys() == {WithheldCause.RATE}
-
-
 @examples(50)
 @given(
     st.lists(
