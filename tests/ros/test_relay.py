@@ -94,7 +94,7 @@ def test_a_best_effort_publisher_that_joins_later_is_heard(elsewhere, carry, tal
 
 def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
     """Two types at first are none; one that is carried stays beside another, which is carried when it is left alone."""
-    surveyed, courses = Surveyed(), []
+    surveyed, courses = Surveyed(None, "/chatter"), []
     for types in (["String", "Empty"], ["String"], ["String", "Empty"], ["Empty"]):
         surveyed.read([Endpoint(gid=bytes([n] * 16), type_name=kind) for n, kind in enumerate(types)], 0.0)
         courses.append((surveyed.type_name, len(surveyed.writers)))
@@ -103,7 +103,7 @@ def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
 
 def test_a_writer_is_known_for_half_a_minute_after_it_left():
     """However long it was there; one without a node is offered after two seconds, and stays."""
-    surveyed = Surveyed()
+    surveyed = Surveyed(None, "/chatter")
     first, second = (Endpoint(gid=bytes([n] * 16)) for n in (1, 2))
     nameless = Endpoint(gid=bytes(16), is_named=False)
 

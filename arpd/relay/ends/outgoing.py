@@ -8,9 +8,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from arpd.relay.ends.offers import TopicOffer
-from arpd.relay.ends.survey import Survey
+from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
+from arpd.ros.graph_view import GraphView
+from arpd.ros.names import is_full_name
 from arpd.ros.raw_reader import ReadingThread
 
 if TYPE_CHECKING:
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
 
     from arpd.model.settings import RelaySettings
     from arpd.relay.ends.offers import WriterOffer
-    from arpd.relay.ends.survey import Surveyed
     from arpd.ros.raw_reader import Sample
 
 _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
@@ -105,10 +106,10 @@ class Outgoing:
         self._node, self._name_of, self._carry, self._settings = node, name_of, carry, settings
         self._linger_s = linger_s
         self._groups = {topic: group.name for group in settings.groups for topic in group.topics}
-        self._local: dict[str, str] = {}  # local names of the topics
+        self._view = GraphView.of(node)
+        self._topics: dict[str, Surveyed] = {}
         self._planned: dict[str, tuple[int, int]] = {}  # that it tells, by the name on the link
         self._planned_s = 0.0  # when it may tell others
-        self._survey = Survey(node, is_of_interest=lambda local: name_of(local) is not None)
         self.thread = ReadingThread()
         self.offers: dict[str, TopicOffer] = {}
         self.carried: dict[str, Carried] = {}
@@ -116,13 +117,19 @@ class Outgoing:
 
     def look(self) -> None:
         """Follow the graph."""
-        self._survey.look()
-        self._local = {name: local for local in self._survey.topics if (name := self._name_of(local)) is not None}
+        changes = self._view.look()
+        names = {self._name_of(local): local for local in sorted(self._view.types) if is_full_name(local)}
+        self._topics = {
+            name: self._topics.get(name) or Surveyed(self._view, local)
+            for name, local in names.items()
+            if name is not None
+        }
+        for topic in self._topics.values():
+            topic.look(changes)
         planned = {name: each.planned for name, each in self.carried.items() if any(each.planned)}
         if planned != self._planned and (now_s := time.monotonic()) >= self._planned_s:
             self._planned, self._planned_s = planned, now_s + _PLANS_S
-        surveyed = {name: self._survey.topics[local] for name, local in self._local.items()}
-        self.offers = {name: self._offer(name, found) for name, found in surveyed.items() if found.writers}
+        self.offers = {name: self._offer(name, found) for name, found in self._topics.items() if found.writers}
 
     def _offer(self, name: str, found: Surveyed) -> TopicOffer:
         link_name = self._groups.get(name, name)
@@ -141,8 +148,7 @@ class Outgoing:
 
     def several_types(self) -> dict[str, tuple[str, ...]]:
         """Return the types of the topics that have more than one."""
-        types = {name: self._survey.topics[local].types for name, local in self._local.items()}
-        return {name: each for name, each in types.items() if len(each) > 1}
+        return {name: topic.types for name, topic in self._topics.items() if len(topic.types) > 1}
 
     def follow(self, wants: Collection[str]) -> None:
         """Carry the wanted topics that are offered, and no other."""
@@ -195,7 +201,7 @@ class Outgoing:
         """Begin again with latched topics: the other end is another process now, and lacks their histories.
 
         The other topics stay as they are, because the new process may hear them already: it asks for what it reads a
-        moment after it has begun to.
+        second after its start, and new writers would cost it the samples of their match.
         """
         self.forget([link_name for link_name, carried in self.carried.items() if carried.is_latched])
 
@@ -212,9 +218,8 @@ class Outgoing:
                 carried.check(kind)
                 carried.readers[topic] = TopicReaders(
                     self._node,
-                    self._local[topic],
+                    self._topics[topic],
                     kind,
-                    survey=self._survey,
                     thread=self.thread,
                     deliver=partial(carried.send, topic),
                     depth=self._settings.depths.get(topic),

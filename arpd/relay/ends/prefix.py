@@ -17,7 +17,6 @@ from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.outgoing import Carried, Outgoing
 from arpd.relay.ends.types import is_bulk, message_class
 from arpd.relay.status import prefix_line
-from arpd.ros.graph_view import GraphView
 from arpd.ros.runtime import ros_node
 
 if TYPE_CHECKING:
@@ -118,7 +117,6 @@ class Prefixed(Outgoing):
         self.participants, self._on_change = Participants(node), on_change
         self._inputs = {str(node.resolve_topic_name(topic)): topic for topic in settings.topic_names}
         self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topic_names}
-        self._view = GraphView.of(node)
         super().__init__(node, name_of=self._inputs.get, carry=self._republish, settings=settings, linger_s=_LINGER_S)
         self.participants.parts.append(lambda: self.thread.finished_s)
         self._named: dict[str, str] = {}  # refusals that the log has
@@ -132,7 +130,7 @@ class Prefixed(Outgoing):
     def look(self) -> None:
         """Follow the graph, and tell the status if it has changed."""
         super().look()
-        objections = {topic: words for topic in self._local if (words := self._objection(topic))}
+        objections = {topic: words for topic in self._topics if (words := self._objection(topic))}
         self.forget(objections)
         self.follow(self.offers.keys() - objections)
         refused = objections | self.refused

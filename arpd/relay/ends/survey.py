@@ -7,15 +7,12 @@ import time
 from typing import TYPE_CHECKING
 
 from arpd.relay.ends.offers import WriterOffer
-from arpd.ros.graph_view import GraphView
-from arpd.ros.names import is_full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
-
-    from rclpy.node import Node
+    from collections.abc import Collection, Mapping
 
     from arpd.ros.graph import Endpoint
+    from arpd.ros.graph_view import GraphView
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left
@@ -23,12 +20,20 @@ _TOLD = ("node", "is_reliable", "is_latched", "deadline_ns", "lifespan_ns", "lea
 
 
 class Surveyed:
-    """One topic as it was read last: types and writers of other processes than this one.
+    """One topic: types and writers of other processes than this one, as they were read last.
 
     A read replaces whole mappings, because the reading thread and the end's own look at them without a lock.
+
+    Parameters
+    ----------
+    view : the local domain's graph
+    local : the topic's name there
     """
 
-    def __init__(self) -> None:
+    def __init__(self, view: GraphView, local: str) -> None:
+        self._view, self.local = view, local
+        self._lock = threading.Lock()
+        self._changes = -1  # of the graph, when it was looked at last
         self.types: tuple[str, ...] = ()
         self.type_name = ""  # type that is offered
         self.type_hash = ""  # its definition, where all its writers tell the same one
@@ -37,6 +42,25 @@ class Surveyed:
         self._left_s: dict[bytes, float] = {}
         self.is_waiting = False  # whether the node of a writer may still become known
         self._unnamed_s: dict[bytes, float] = {}  # writers whose node is not known, and since when
+
+    def look(self, changes: int) -> None:
+        """Read what has changed, as the number of changes of the graph tells."""
+        before, self._changes = self._changes, changes
+        if before != changes or self.is_waiting:
+            self._read()
+
+    def writer(self, gid: bytes) -> WriterOffer | None:
+        """Return the writer with this GUID, after another look where it is not known; for any thread."""
+        if gid not in self.known:
+            self._view.look()
+            self._read()
+        return self.known.get(gid)
+
+    def _read(self) -> None:
+        with self._lock:
+            ours = self._view.ours
+            others = [each for each in self._view.writers(self.local) if each.participant not in ours]
+            self.read(others, time.monotonic())
 
     def read(self, writers: Collection[Endpoint], now_s: float) -> None:
         """Take the writers of the topic.
@@ -60,48 +84,6 @@ class Surveyed:
         left = {gid: self.known[gid] for gid, left_s in self._left_s.items() if now_s - left_s < _REMEMBERED_S}
         self.known = left | present
         self.writers = (*present.values(),)
-
-
-class Survey:
-    """Follows the graph: what is published here by others than this process.
-
-    Parameters
-    ----------
-    node : the end's node in the local domain
-    is_of_interest : returns whether to look at a topic, by its local name
-    """
-
-    def __init__(self, node: Node, *, is_of_interest: Callable[[str], bool]) -> None:
-        self._view = GraphView.of(node)
-        self._is_of_interest = is_of_interest
-        self._lock = threading.Lock()
-        self._changes = -1  # of the graph, when it was looked at last
-        self.topics: Mapping[str, Surveyed] = {}
-
-    def look(self) -> None:
-        """Read what has changed."""
-        before, self._changes = self._changes, self._view.look()
-        found = sorted(topic for topic in self._view.types if self._is_of_interest(topic) and is_full_name(topic))
-        topics = {topic: self.topics.get(topic) or Surveyed() for topic in found}
-        new, self.topics = topics.keys() - self.topics.keys(), topics
-        for topic, surveyed in topics.items():
-            if before != self._changes or topic in new or surveyed.is_waiting:
-                self._read(topic, surveyed)
-
-    def writer(self, topic: str, gid: bytes) -> WriterOffer | None:
-        """Return the writer with this GUID, after another look where it is not known; for any thread."""
-        if (surveyed := self.topics.get(topic)) is None:
-            return None
-        if gid not in surveyed.known:
-            self._view.look()
-            self._read(topic, surveyed)
-        return surveyed.known.get(gid)
-
-    def _read(self, topic: str, surveyed: Surveyed) -> None:
-        with self._lock:
-            ours = self._view.ours
-            others = [each for each in self._view.writers(topic) if each.participant not in ours]
-            surveyed.read(others, time.monotonic())
 
 
 def _offer(found: Endpoint) -> WriterOffer:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.relay.ends.offers import WriterClass, WriterOffer
-    from arpd.relay.ends.survey import Survey
+    from arpd.relay.ends.survey import Surveyed
 
 _MOST_HELD = 1000
 _HELD_S = 3.0
@@ -40,9 +40,8 @@ class TopicReaders:
     Parameters
     ----------
     node : node of the readers
-    topic : its fully qualified name
+    topic : names the writers
     msg_type : message class
-    survey : names the writers
     thread : takes the samples
     deliver : called with every sample and its writer, in the thread, one at a time
     depth : most samples that wait for the thread; None = a second of them
@@ -51,16 +50,15 @@ class TopicReaders:
     def __init__(
         self,
         node: Node,
-        topic: str,
+        topic: Surveyed,
         msg_type: Any,
         *,
-        survey: Survey,
         thread: ReadingThread,
         deliver: Callable[[WriterOffer, Sample], None],
         depth: int | None,
     ) -> None:
         self._node, self._topic, self._msg_type = node, topic, msg_type
-        self._survey, self._thread, self._deliver_one = survey, thread, deliver
+        self._thread, self._deliver_one = thread, deliver
         self._depth = depth
         self._readers: dict[WriterClass, RawReader] = {}
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
@@ -105,7 +103,7 @@ class TopicReaders:
         return RawReader(
             self._node,
             self._msg_type,
-            self._topic,
+            self._topic.local,
             qos,
             deliver=deliver,
             thread=self._thread,
@@ -114,7 +112,7 @@ class TopicReaders:
 
     def _deliver(self, kind: WriterClass, sample: Sample) -> bool:
         """Deliver a sample if its writer is of the reader's class; return whether the graph names the writer."""
-        writer = self._survey.writer(self._topic, sample.writer)
+        writer = self._topic.writer(sample.writer)
         if writer is not None and writer.kind == kind:
             self._deliver_one(writer, sample)
         return writer is not None

@@ -115,12 +115,3 @@ def test_nothing_is_torn_and_nothing_doubled(messages, fates, restart):
     found = [message for message in found if message is not None and set(message) != {255}]
     assert set(untouched) <= set(found) <= set(sent)
     assert found == sorted(set(found))
-
-
-def test_chunks_are_messages_of_ros():
-    """What crosses the link is a serialized UInt8MultiArray."""
-    rclpy = pytest.importorskip("rclpy.serialization", reason="ROS 2 is not installed")
-    from std_msgs.msg import UInt8MultiArray
-
-    assert bytes(rclpy.deserialize_message(wrap(b"abc"), UInt8MultiArray).data) == b"abc"
-    assert bytes(rclpy.deserialize_message(encode_chunk(CHUNK), UInt8MultiArray).data).endswith(b"abc")

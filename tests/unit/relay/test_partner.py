@@ -26,20 +26,13 @@ def heard(partner, *sessions, from_s, to_s):
         now_s += 1.0
 
 
-def test_the_newest_state_of_a_session_counts():
-    """A state that comes late changes nothing."""
-    partner = Partner()
-    partner.hear(ONE, 0.0, state(ONE, 2))
-    partner.hear(ONE, 0.1, state(ONE, 1))
-    partner.look(0.1)
-    assert in_force(partner).serial == 2
-
-
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
     """The new session of a killed end is in force once the old one has missed a sign of life."""
     partner = Partner()
-    partner.hear(OLD, 0.0, state(OLD))
+    partner.hear(OLD, 0.0, state(OLD, 2))
+    partner.hear(OLD, 0.1, state(OLD, 1))  # late
     heard(partner, OLD, from_s=0.0, to_s=5.0)
+    assert in_force(partner).serial == 2
     partner.hear(NEW, 6.0, state(NEW))
     partner.look(6.0)
     assert in_force(partner).session == OLD

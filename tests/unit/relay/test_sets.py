@@ -27,17 +27,11 @@ def test_only_whole_sets_leave_and_each_once(given_by, random):
     assert left == [[sample(member, k) for member in range(3)] for k in expected]
 
 
-def test_a_set_needs_only_the_members_that_are_wanted():
-    """Where two of three topics are read, sets of those two leave."""
-    sets = Sets({0, 2}, on_drop=lambda _samples: None)
-    assert sets.add(0, sample(0, 1)) == sets.add(1, sample(1, 1)) == []
-    assert sets.add(2, sample(2, 1)) == [sample(0, 1), sample(2, 1)]
-
-
 def test_samples_of_sets_that_stay_incomplete_are_counted():
-    """A complete set drops the older ones, and too many begun sets drop the oldest."""
+    """A complete set, of the wanted members alone, drops the older ones, and too many begun sets drop the oldest."""
     dropped = []
     sets = Sets({0, 1}, on_drop=dropped.append)
+    assert sets.add(2, sample(2, 4)) == []
     for stamp in range(5):
         sets.add(0, sample(0, stamp))
     assert sets.add(1, sample(1, 4))
