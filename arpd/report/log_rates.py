@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from statistics import fmean
 from typing import TYPE_CHECKING
 
 from arpd.model.link import LinkState
@@ -14,52 +12,43 @@ from arpd.report.topic_rows import topic_rows
 from arpd.report.wording import Change, changes, count
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
     from arpd.report.situation import Slowed
     from arpd.report.snapshot import Snapshot
 
 _EVERY_S = 1.0
-_LOOKS = 10  # a change that is over before so many is the price at work
+_LASTS_S = 9.5  # a change that is over sooner is the price at work
 _AS_BEFORE = 1.5  # a rate within this factor of the one in the last event is no news
 
 
 class RatesLog:
-    """Topics that the link slows, with their mean rates: an event when others are, or by another amount, for long."""
+    """Topics that the link slows: an event when for long others are, or by another amount, than in the last event."""
 
     def __init__(self) -> None:
-        self._seen: deque[Mapping[str, Slowed]] = deque(maxlen=_LOOKS)
         self._due_s = -math.inf
+        self._news_since_s = math.inf
         self._logged: Mapping[str, Slowed] = {}  # the last event
 
     def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
-        if snapshot.observation.active_daemon:
-            self._seen.clear()
+        now_s, is_standing_by = snapshot.finished_at_s, bool(snapshot.observation.active_daemon)
+        if is_standing_by:
             self._logged = {}
-        if snapshot.finished_at_s < self._due_s or not snapshot.allocation.topics:
+        if is_standing_by or snapshot.link.state is LinkState.OUTAGE:  # which has an event of its own
+            self._news_since_s = math.inf
             return
-        if snapshot.link.state is LinkState.OUTAGE:  # it has an event of its own
-            self._seen.clear()
+        if now_s < self._due_s or not snapshot.allocation.topics:
             return
-        self._due_s = snapshot.finished_at_s + _EVERY_S
-        self._seen.append({slowed.topic: slowed for slowed in slowed_topics(topic_rows(snapshot))})
-        if len(self._seen) < _LOOKS:
+        self._due_s = now_s + _EVERY_S
+        now = {slowed.topic: slowed for slowed in slowed_topics(topic_rows(snapshot))}
+        if now.keys() == self._logged.keys() and not any(_is_far(now[topic], self._logged[topic]) for topic in now):
+            self._news_since_s = math.inf
             return
-        lasting = {topic: [seen[topic] for seen in self._seen] for topic in set.intersection(*map(set, self._seen))}
-        # A topic that is slowed at times only stays what it was.
-        stays = {topic: before for topic, before in self._logged.items() if any(topic in seen for seen in self._seen)}
-        now = stays | {topic: _mean(seen) for topic, seen in lasting.items()}
-        are_others = now.keys() != self._logged.keys()
-        if are_others or any(all(_is_far(one, self._logged[topic]) for one in seen) for topic, seen in lasting.items()):
+        self._news_since_s = min(self._news_since_s, now_s)
+        if now_s - self._news_since_s >= _LASTS_S:
             yield _event(self._logged, now)
-            self._logged = now
-            self._seen.clear()
-
-
-def _mean(seen: Sequence[Slowed]) -> Slowed:
-    rate_hz = fmean(one.rate_hz for one in seen)
-    return seen[-1]._replace(kept=fmean(one.kept for one in seen), rate_hz=rate_hz)
+            self._logged, self._news_since_s = now, math.inf
 
 
 def _is_far(one: Slowed, other: Slowed) -> bool:
