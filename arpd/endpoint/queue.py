@@ -57,6 +57,8 @@ class PacedQueue:
     Not thread-safe. Times are seconds of one monotonic clock.
     """
 
+    _heartbeat_s = HEARTBEAT_S  # of its writers
+
     def __init__(self) -> None:
         self._lanes: dict[Lane, None] = {}
         self._active: dict[Lane, None] = {}  # with something to send, the longest active first
@@ -212,15 +214,15 @@ class PacedQueue:
         message = current.message
         current.offset = len(message)
         wire_bytes, packets = wire_size(len(message), rate_hz=math.inf)
-        return Part(message, wire_bytes + self._asking_bytes(lane, now_s, HEARTBEAT_S), packets)
+        return Part(message, wire_bytes + self._asking_bytes(lane, now_s), packets)
 
-    @staticmethod
-    def _asking_bytes(lane: Lane, now_s: float, every_s: float) -> int:
-        """Return what the acknowledgement takes for which a writer asks now."""
-        if now_s - lane.asked_s < every_s:
+    def _asking_bytes(self, lane: Lane, now_s: float) -> int:
+        """Return what a writer takes that asks now for an acknowledgement, which goes the other way."""
+        if now_s - lane.asked_s < self._heartbeat_s:
             return 0
         lane.asked_s = now_s
-        return HEARTBEAT_BYTES + ACKNACK_BYTES
+        self.sent_bytes += ACKNACK_BYTES
+        return HEARTBEAT_BYTES
 
     def _count(self, lane: Lane, part: Part, now_s: float, *, is_first: bool) -> None:
         """Let a part take its share of the link."""

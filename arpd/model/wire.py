@@ -25,8 +25,8 @@ ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
 PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
 #: Heartbeat period of arpd's writers (arpd/ros/fastdds.xml) while something is unacknowledged.
 HEARTBEAT_S = 0.05
-#: And of the one that carries small samples of many topics: each waits for a lost one before it.
-QUICK_HEARTBEAT_S = 0.02
+#: And of those of a relay's two ends, where samples of many topics wait for a lost one before them.
+LINK_HEARTBEAT_S = 0.03
 
 # What Fast DDS 2.14 tells each participant of a writer that comes or goes; and rmw_dds_common's
 # ParticipantEntitiesInfo: a GUID per endpoint, beside the names of the nodes.

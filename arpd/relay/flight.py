@@ -13,11 +13,12 @@ _OUT_S = 0.4  # of silence, beyond the usual time of a receipt, while something 
 # Time of the capacity that may be on its way, beyond the fastest receipt of late. More would only wait, and what the
 # socket's buffer does not hold, 50 ms of 20 Mbit/s with Linux' defaults, is lost there.
 _WINDOW_S = 0.03
+_REPAIR_S = 0.04  # more where packets are lost: no receipt tells of what has arrived behind one that must come again
 _SMALL_WINDOWS = 3.0  # for small messages: what fits the link must not wait for what fills it
 _QUEUED_S = 0.08  # an age that shows a queue on the link; what arrives is then what the link carries
 _STANDING_S = 0.1  # a queue that stays as long as this
-_TARGET_S, _RELIEF_S = 0.01, 0.1  # a queue up to the first may stay; at one longer by the second nothing would leave
-_LEAST_RELIEF, _MOST_RELIEF = 0.5, 1.14  # the second where no queue stands: the headroom is for what nobody sees
+_TARGET_S, _RELIEF_S = 0.015, 0.1  # a queue up to the first may stay; at one longer by the second nothing would leave
+_LEAST_RELIEF, _MOST_RELIEF = 0.5, 1.15  # the second where no queue stands: the headroom is for what nobody sees
 _GROWTH = 1.5  # times the best rate of late: a daemon may believe more than the link carries
 _LEAST_BYTES = 12_000
 _RATE_S, _BEST_S = 0.2, 1.0
@@ -156,10 +157,12 @@ class Flight:
     Attributes
     ----------
     capacity : what the link carries, as the daemon says; None = no daemon is heard (bytes/s)
+    is_lossy : whether it loses packets, as the daemon says
     """
 
     def __init__(self) -> None:
         self.capacity: float | None = None
+        self.is_lossy = False
         self._sent: deque[_Sent] = deque()
         self._bytes = 0
         self._number = 0
@@ -238,4 +241,5 @@ class Flight:
             rate = min(rate, self.capacity)
         if self._queue_s > _QUEUED_S:
             rate = min(rate, self._rate)
-        return max(_LEAST_BYTES, (_WINDOW_S + self._trip_s) * rate)
+        repair_s = _REPAIR_S if self.is_lossy else 0.0
+        return max(_LEAST_BYTES, (_WINDOW_S + repair_s + self._trip_s) * rate)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready
 from arpd.model.endpoints import WithheldCause
-from arpd.model.wire import FRAGMENT_BYTES, HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
+from arpd.model.wire import FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
 from arpd.relay.flight import SIGN_BYTES, Flight, Received, Sign, decode_sign, encode_sign
 from arpd.relay.partner import EVERY_S, REPLACED_S
@@ -23,6 +23,7 @@ _LEAST_PACKETS, _MOST_PACKETS = 2, 16
 _UNKNOWN_PACKETS = 4
 _COMPANY_PACKETS, _COMPANY_S = 2.0, 0.005  # small messages wait for others: so many packets' time, at most so long
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+_LOSSY = 0.005  # of the packets
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
 
@@ -50,6 +51,8 @@ class LinkQueue(PacedQueue):
     flight : what is on its way
     held_s : time in which something waited for receipts: the link takes no more (s)
     """
+
+    _heartbeat_s = LINK_HEARTBEAT_S
 
     def __init__(self, session: int, now_s: float, *, together: Callable[[bytes], None]) -> None:
         super().__init__()
@@ -210,7 +213,7 @@ class LinkQueue(PacedQueue):
         if not aboard:
             return None
         message = b"".join(aboard.values())
-        number, wire_bytes, packets = self._send(self._coach, message, now_s, asks_every_s=QUICK_HEARTBEAT_S)
+        number, wire_bytes, packets = self._send(self._coach, message, now_s)
         self.sent_bytes += int(wire_bytes)
         shared = (wire_bytes - len(message)) / len(aboard)
         for each, sample in aboard.items():
@@ -225,7 +228,7 @@ class LinkQueue(PacedQueue):
         message, offset = current.message, current.offset
         most = len(message) if is_first else self._chunk_bytes
         part = message[offset : offset + most]
-        number, wire_bytes, packets = self._send(lane, part, now_s, asks_every_s=HEARTBEAT_S)
+        number, wire_bytes, packets = self._send(lane, part, now_s)
         if offset == 0:
             current.number = number
         current.offset += len(part)
@@ -233,10 +236,10 @@ class LinkQueue(PacedQueue):
         chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
         return Part(encode_chunk(chunk), wire_bytes, packets)
 
-    def _send(self, lane: Lane, part: bytes, now_s: float, *, asks_every_s: float) -> tuple[int, float, float]:
+    def _send(self, lane: Lane, part: bytes, now_s: float) -> tuple[int, float, float]:
         """Count a chunk as sent; return its number, and the bytes and packets that it takes of the link."""
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
-        wire_bytes += self._asking_bytes(lane, now_s, asks_every_s)
+        wire_bytes += self._asking_bytes(lane, now_s)
         return self.flight.send(int(wire_bytes), now_s), wire_bytes, packets
 
     # -- the daemon's price
@@ -252,6 +255,7 @@ class LinkQueue(PacedQueue):
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))
+            self.flight.is_lossy = (price.loss_ratio or 0.0) >= _LOSSY
         self._adapt(None if price is None else price.capacity_bytes_per_second)
 
     def _adapt(self, capacity: float | None) -> None:

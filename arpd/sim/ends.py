@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.lane import Lane
 from arpd.model.endpoints import WriterQos
 from arpd.model.plan import TopicPlan
-from arpd.model.wire import HEARTBEAT_S, QUICK_HEARTBEAT_S, wire_size
+from arpd.model.wire import LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import Assembly, Record, pack, unpack, writer_key
 from arpd.relay.flight import SIGN_BYTES
 from arpd.relay.link_queue import LinkQueue
@@ -48,7 +48,7 @@ class SimulatedEnd:
         self.timeline, self._there, self.back = timeline, there, back
         # Its participant waits for no write: what a full socket does not take is sent again.
         self.socket = Socket(timeline, there, room_bytes=math.inf)
-        small = SimulatedWriter(self.socket, back, self, qos=_LINK_QOS, heartbeat_s=QUICK_HEARTBEAT_S)
+        small = SimulatedWriter(self.socket, back, self, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
         self._queue = LinkQueue(session, timeline.now_s, together=small.publish)
         self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self._alarm = Alarm(timeline, self._run)
@@ -138,7 +138,7 @@ class SimulatedLinkTopic:
         self._numbers = count()
         self._assembly = Assembly()
         self._counting = Counting(self.arrivals, end.timeline, topic.payload_bytes)
-        self._writer = SimulatedWriter(end.socket, end.back, self, qos=_LINK_QOS, heartbeat_s=HEARTBEAT_S)
+        self._writer = SimulatedWriter(end.socket, end.back, self, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
         self._key = writer_key(topic.name)
         self._lane = Lane(self._writer.publish, has_company=True)
         self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=_DEPTH)
