@@ -176,7 +176,8 @@ def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Do
     loads = {each.topic: each for each in traffic}
     crossing = (settings.graph.sensing_topics or 0) + (settings.graph.actuation_topics or 0)
     rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
-    answer = Program(settings).solve(capacity, rows, memory_bytes, crossing=crossing)
+    program = Program(settings)
+    answer = program.solve(program.on_link(capacity, rows, crossing=crossing), memory_bytes)
     qos = Wanted(answer, rows, (), previous={}, settings=settings).rows
     return {
         "capacity_bytes_per_second": capacity,

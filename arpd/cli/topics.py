@@ -7,20 +7,20 @@ import json
 import os
 import platform
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.cli.options import Command, add_config, config_of, within
 from arpd.cli.output import fitted, progress, show
 from arpd.host import interface as host
-from arpd.host.config.first_file import LinkChoice, first_file
+from arpd.host.config.first_file import first_file
 from arpd.host.config.load import load_settings, local_domain
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.kinds import address
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
-from arpd.model.settings import AUTO, Settings
+from arpd.model.settings import AUTO, RelaySettings, Settings
 from arpd.report.first_guess import first_guess
 from arpd.report.wording import count
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from arpd.model.link_topics import LinkTopic, TopicList
-    from arpd.model.settings import RelaySettings
 
 _SECONDS = 5.0
 _MOST_SECONDS = 600.0
@@ -91,7 +90,7 @@ def _list_topics(options: argparse.Namespace) -> int:
         topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
         print(json.dumps(asdict(listed) | {"topics": topics}, indent=2))
     elif options.suggest:
-        _suggest(listed, _link(options, settings))
+        _suggest(listed, options, settings)
     else:
         show(_table(listed.topics))
         print("\n".join(["", *_summary(listed)]))
@@ -142,30 +141,21 @@ no topics in ROS domain {listed.domain_id}. Check, in this order:
   RMW_IMPLEMENTATION is the same                  here: {value("RMW_IMPLEMENTATION")}"""
 
 
-def _link(options: argparse.Namespace, settings: Settings) -> LinkChoice:
-    """Return where the link is: as given, as configured, or as this host's interfaces tell."""
-    relay, here = settings.relay, local_domain()
+def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings) -> None:
+    """Print a configuration whose link is where the options say, or that in force, or this host's interfaces."""
+    here, relay = local_domain(), settings.relay
     domains = (relay.link_domain, *_LINK_DOMAINS)
-    robot, base = options.robot or relay.robot, options.base or relay.base
-    interface = ""
+    robot, base, guessed_from = options.robot or relay.robot, options.base or relay.base, ""
     if robot is None:
         wanted = settings.link.interface
         interface = (host.likeliest_interface() if wanted == AUTO else wanted) or ""
         robot = min(host.ipv4_addresses().get(interface, ()), default=None)
-    return LinkChoice(
-        link_domain=next(domain for domain in domains if domain is not None and domain != here),
-        robot=robot,
-        base=base,
-        robot_is_guessed_from=interface if robot else "",
-        interface=settings.link.interface,
-    )
-
-
-def _suggest(listed: TopicList, link: LinkChoice) -> None:
-    """Print the configuration; what does not stand in it goes to stderr."""
+        guessed_from = interface if robot else ""
+    link_domain = next(domain for domain in domains if domain is not None and domain != here)
+    settings = replace(settings, relay=RelaySettings(link_domain=link_domain, robot=robot, base=base))
     guess = first_guess(listed.topics)
     origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
-    sys.stdout.write(first_file(guess, link, origin=origin))
+    sys.stdout.write(first_file(guess, settings, guessed_from=guessed_from, origin=origin))
     if guess.left_out:
         _remark(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
     _remark("weights and minimum rates are guesses: read them, then `arpd check FILE`")

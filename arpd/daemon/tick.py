@@ -173,9 +173,10 @@ class Daemon:
         memory_bytes = memory_budget_bytes(seen.memory, self.settings.program)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
         capacity, overhead_s = self._budget.lasting
-        lasting = self._program.solve(
-            capacity, topics, memory_bytes, packet_overhead_s=overhead_s, crossing=_crossing(seen)
+        link_that_lasts = self._program.on_link(
+            capacity, topics, packet_overhead_s=overhead_s, crossing=_crossing(seen)
         )
+        lasting = self._program.solve(link_that_lasts, memory_bytes)
         rates = self._program.follow(lasting, self._of_now(topics, seen, link, budget), memory_bytes)
         if seen.active_daemon:
             decision = self._governor.stand_by()

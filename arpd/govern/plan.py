@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import NANOSECONDS_PER_SECOND, TopicPlan, keeps_its_readers
+from arpd.model.plan import NANOSECONDS_PER_SECOND, TopicPlan, is_kept
 from arpd.model.wire import FRAGMENT_BYTES
 from arpd.solve.eq4 import alike
 
@@ -158,7 +158,7 @@ class Wanted:
 
     def keeps_its_readers(self, name: str, row: TopicPlan) -> bool:
         """Return whether no reader of a topic would disconnect."""
-        return keeps_its_readers(row, self.requests.get(name, 0))
+        return is_kept(row.deadline_ns, self.requests.get(name, 0))
 
     def with_qos_of(self, row: TopicPlan, name: str, kept: TopicPlan) -> TopicPlan:
         """Return a row with the QoS of another one, unless a reader would disconnect."""

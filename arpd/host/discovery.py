@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import struct
 import time
@@ -30,8 +29,7 @@ _TO_PARAMETERS = 20 + 4  # from the body of a DATA submessage without inline QoS
 _PROPERTY_LIST, _METATRAFFIC_LOCATOR, _SENTINEL = 0x59, 0x32, 0x01
 _TRANSPORTS = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}  # kinds of locators (fastdds/rtps/common/Locator.h)
 _HOST, _PROCESS = "fastdds.physical_data.host", "fastdds.physical_data.process"
-_IP_PKTINFO, _IP_MULTICAST_ALL = 8, 49  # linux/in.h
-_PACKET_INFO = struct.Struct("i4s4s")  # interface, its address, destination (ip(7))
+_IP_MULTICAST_ALL = 49  # linux/in.h
 _MOST_PARTICIPANTS = 1000
 _MOST_NAME = 60
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
@@ -100,47 +98,26 @@ def heard(
 
 
 def _announcer(address: str, properties: dict[str, str], transports: set[str], own: Collection[str]) -> Announcer:
-    is_here = address in own
-    number = properties.get(_PROCESS, "")
-    command = _command(number) if is_here and number.isdecimal() else ()
+    is_here, number = address in own, properties.get(_PROCESS, "")
+    program = _program(number) if is_here else Path()
     return Announcer(
         host=properties.get(_HOST, "").rpartition(":")[0] or address,
-        process=command_name(command) or f"process {number or 'unknown'}",
+        process=program.name or f"process {number or 'unknown'}",
         is_here=is_here,
-        is_arpds=is_arpd(command),
+        # In a workspace of colcon it is lib/arpd/relay.
+        is_arpds=program.name.partition(".")[0] == "arpd" or program.parts[-3:-1] == ("lib", "arpd"),
         transports=frozenset(transports),
     )
 
 
-def _command(number: str) -> tuple[str, ...]:
+def _program(number: str) -> Path:
+    """Return what a process of this computer runs; where that is Python, the script or the module."""
     try:
-        words = psutil.Process(int(number)).cmdline()
-    except (psutil.Error, OverflowError):
-        return ()
-    return tuple(printable(word, longest=_MOST_NAME) for word in words if word)
-
-
-def command_name(command: tuple[str, ...]) -> str:
-    """Return the name of a command: of a script or module where Python runs one; empty if there is no command."""
-    program = _program(command)
-    return f"{Path(command[0]).name} -c" if program == "-c" else Path(program).name
-
-
-def is_arpd(command: tuple[str, ...]) -> bool:
-    """Return whether a command is one of arpd's, in a workspace of colcon too (lib/arpd/relay)."""
-    program = Path(_program(command))
-    name = program.name
-    return name == "arpd" or name.startswith("arpd.") or program.parts[-3:-1] == ("lib", "arpd")
-
-
-def _program(command: tuple[str, ...]) -> str:
-    """Return the path of a program; where Python runs one, of its script, the name of its module, or ``-c``."""
-    if not command:
-        return ""
-    first, *rest = command
-    if not Path(first).name.startswith("python"):
-        return first
-    return next((word for word in rest if not word.startswith("-") or word == "-c"), first)
+        words = [word for word in psutil.Process(int(number)).cmdline() if word and not word.startswith("-")]
+    except (psutil.Error, ValueError, OverflowError):
+        return Path()
+    is_script = len(words) > 1 and Path(words[0]).name.startswith("python")
+    return Path(*(printable(word, longest=_MOST_NAME) for word in words[is_script:][:1]))
 
 
 def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:
@@ -213,22 +190,21 @@ def listen(interface: str, domain_id: int, *, duration_s: float) -> HeardDiscove
     own = frozenset[str]().union(*ipv4_addresses().values())
     try:
         with discovery_socket(domain_id) as ear:
+            ear.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # what other sockets joined is not heard
             join_discovery(ear, index)
-            return heard(_packets(ear, index, duration_s), own=own, domain_id=domain_id, duration_s=duration_s)
+            return heard(_packets(ear, duration_s), own=own, domain_id=domain_id, duration_s=duration_s)
     except OSError as error:
         raise NotKnownError(f"cannot listen on {interface} ({error.strerror or error})") from None
 
 
-def _packets(ear: socket.socket, index: int, duration_s: float) -> Iterator[tuple[bytes, str]]:
-    """Yield what arrives on one interface, with its sender's address."""
-    ear.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
-    ear.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+def _packets(ear: socket.socket, duration_s: float) -> Iterator[tuple[bytes, str]]:
+    """Yield what arrives, with its sender's address."""
     began_s = time.monotonic()
-    while (left_s := began_s + duration_s - time.monotonic()) > 0:
-        if select.select([ear], [], [], left_s)[0]:
-            packet, extra, _flags, sender = ear.recvmsg(65536, socket.CMSG_SPACE(_PACKET_INFO.size))
-            if index in [_PACKET_INFO.unpack(data)[0] for level, kind, data in extra if kind == _IP_PKTINFO]:
-                yield packet, sender[0]
+    with suppress(TimeoutError):
+        while (left_s := began_s + duration_s - time.monotonic()) > 0:
+            ear.settimeout(left_s)
+            packet, (address, _port) = ear.recvfrom(65536)
+            yield packet, address
 
 
 def discovery_socket(domain_id: int) -> socket.socket:

@@ -18,16 +18,11 @@ from logging_journald import Facility, JournaldTransport
 from arpd.report.conditions import MESSAGE_IDS, Event, Severity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
 SOCKET = Path("/run/systemd/journal/socket")
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _NO_FIELD = re.compile(r"[^A-Z0-9_]")
-
-
-def priority_of(level: int) -> int:
-    """Return the syslog priority of a logging level."""
-    return next((priority for least, priority in _PRIORITIES if level >= least), 7)
 
 
 def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
@@ -52,7 +47,7 @@ class JournalHandler(logging.Handler):
 
     def __init__(self, identifier: str, *, path: Path = SOCKET) -> None:
         super().__init__()
-        self._identifier = identifier
+        self._frame: dict[str, str | int] = {"SYSLOG_IDENTIFIER": identifier, "SYSLOG_FACILITY": Facility.DAEMON.value}
         self._transport = JournaldTransport(path, connected=False)  # unconnected, it finds a restarted journal
         self._transport.socket.settimeout(0.0)
         self._lost = 0
@@ -60,57 +55,43 @@ class JournalHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Send one record."""
         try:
-            message = self.format(record)
+            fields: dict[str, str | int] = {
+                "MESSAGE": self.format(record),
+                "PRIORITY": _priority_of(record.levelno),
+                "LOGGER": record.name,
+            }
+            event = getattr(record, "event", None)
+            if isinstance(event, Event):
+                fields |= _fields_of(event)
+            self._send(fields)
+            if self._lost:
+                self._send({"MESSAGE": f"lost {self._lost} messages: the journal did not take them", "PRIORITY": 4})
+                self._lost = 0
+        except OSError:
+            self._lost += 1
         except Exception:  # noqa: BLE001 - logging must not raise for any record
             self.handleError(record)
-            return
-        try:
-            self._transport.send(self._fields(record, message))
-            if self._lost:
-                words = f"lost {self._lost} messages, because the journal did not take them"
-                self._transport.send(self._frame(4, words))
-                self._lost = 0
-        except (OSError, ValueError):
-            self._lost += 1
 
     def close(self) -> None:
         """Close the socket."""
         self._transport.socket.close()
         super().close()
 
-    def _fields(self, record: logging.LogRecord, message: str) -> Iterator[tuple[str, str | int]]:
-        yield from self._frame(priority_of(record.levelno), message)
-        yield "LOGGER", record.name
-        yield "CODE_FILE", _text(record.pathname)
-        yield "CODE_LINE", record.lineno
-        yield "CODE_FUNC", record.funcName or ""
-        event = getattr(record, "event", None)
-        if isinstance(event, Event):
-            yield from _fields_of(event)
-
-    def _frame(self, priority: int, message: str) -> Iterator[tuple[str, str | int]]:
-        yield "MESSAGE", _text(message)
-        yield "PRIORITY", priority
-        yield "SYSLOG_IDENTIFIER", self._identifier
-        yield "SYSLOG_FACILITY", Facility.DAEMON.value
+    def _send(self, fields: dict[str, str | int]) -> None:
+        # File names and ROS names may hold bytes that are no UTF-8.
+        texts = {name: str(value).encode("utf-8", "replace").decode() for name, value in (self._frame | fields).items()}
+        self._transport.send(texts.items())
 
 
-def _fields_of(event: Event) -> Iterator[tuple[str, str | int]]:
-    yield "MESSAGE_ID", MESSAGE_IDS[event.kind]
-    yield "ARPD_EVENT", str(event.kind)
-    yield "ARPD_SEVERITY", str(event.severity)
-    yield "ARPD_NUMBER", event.number
-    if event.topic:
-        yield "ARPD_TOPIC", _text(event.topic)
-    if event.node:
-        yield "ARPD_NODE", _text(event.node)
-    for name, text in event.details.items():
-        yield f"ARPD_{_NO_FIELD.sub('_', name.upper())}", _text(text)
+def _priority_of(level: int) -> int:
+    """Return the syslog priority of a logging level."""
+    return next((priority for least, priority in _PRIORITIES if level >= least), 7)
 
 
-def _text(text: str) -> str:
-    """Return a text that has a UTF-8 form, because file names and ROS names may hold other bytes."""
-    return text.encode("utf-8", "replace").decode()
+def _fields_of(event: Event) -> dict[str, str | int]:
+    named = {"EVENT": event.kind, "SEVERITY": event.severity, "TOPIC": event.topic, "NODE": event.node, **event.details}
+    told = {f"ARPD_{_NO_FIELD.sub('_', name.upper())}": text for name, text in named.items() if text}
+    return {"MESSAGE_ID": MESSAGE_IDS[event.kind], "ARPD_NUMBER": event.number, **told}
 
 
 log = logging.getLogger("arpd.events")

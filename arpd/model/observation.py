@@ -35,20 +35,6 @@ class MessageRefusal(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Taken:
-    """Messages that were refused, and endpoints that are not confirmed.
-
-    Parameters
-    ----------
-    refused : messages, or parts of them, refused since the start, by kind and reason
-    pending : publishers that announce themselves but that the graph does not show (yet)
-    """
-
-    refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
-    pending: int = 0
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class MemoryState:
     """Memory of the robot computer (psutil ``virtual_memory``)."""
 
@@ -76,7 +62,8 @@ class Observation:
     radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
     peer_clocks : clocks of the peers against this host's, by peer; those that nothing tells are missing
-    taken : messages refused, and endpoints not confirmed
+    refused : messages, or parts of them, refused since the start, by kind and reason
+    pending : publishers that announce themselves but that the graph does not show (yet)
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 4.5 s
     domain : ROS domain in which publishers and peers are looked for, None without ROS
@@ -98,7 +85,8 @@ class Observation:
     radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     peer_clocks: Mapping[str, ClockOffset] = field(default_factory=lambda: MappingProxyType({}))
-    taken: Taken = field(default_factory=Taken)
+    refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
+    pending: int = 0
     relay: RelaySummary | None = None
     is_relay_silent: bool = False
     domain: int | None = None

@@ -92,11 +92,6 @@ NO_PLAN = PlanAnswer()
 MOST_GENERATION = 2**53
 
 
-def keeps_its_readers(plan: TopicPlan, requested_deadline_ns: int) -> bool:
-    """Return whether the offered deadline is no longer than the tightest that a reader requests (0 = none does)."""
-    return is_kept(plan.deadline_ns, requested_deadline_ns)
-
-
 def is_kept(offered_ns: int, requested_ns: int) -> bool:
     """Return whether a reader that requests a deadline matches a writer that offers one (ns, 0 = infinite)."""
     return requested_ns == 0 or 0 < offered_ns <= requested_ns

@@ -19,7 +19,7 @@ from arpd.host.interface import InterfaceReader, read_memory
 from arpd.host.radio import is_radio, transmit_rate
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.errors import NotKnownError
-from arpd.model.observation import MessageKind, MessageRefusal, Observation, Taken
+from arpd.model.observation import MessageKind, MessageRefusal, Observation
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.graph_view import GraphView
@@ -159,7 +159,8 @@ class RosControl:
             radio_bytes_per_second=self._radio_rate,
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
-            taken=Taken(refused=self._refused(), pending=self._nodes.pending),
+            refused=self._refused(),
+            pending=self._nodes.pending,
             relay=relay,
             is_relay_silent=self._has_two_ends and relay is None and now_s - self._began_s > SILENT_S,
             domain=self._domain,

@@ -25,11 +25,7 @@ NO_CAPACITY = "the link has no capacity: every topic is paused"
 
 
 class Rows:
-    """The topics column by column, each of shape (N,).
-
-    A desired rate of 0 means that nothing was measured yet, so the floor counts. A floor above the desired rate falls
-    to it, because the source would miss every deadline shorter than its own period.
-    """
+    """The topics column by column, each of shape (N,)."""
 
     def __init__(self, topics: Sequence[Topic]) -> None:
         def column(name: str) -> Column:
@@ -37,9 +33,7 @@ class Rows:
 
         self.topics = topics
         self.weights, self.wire_bytes, self.packets = column("weight"), column("wire_bytes"), column("packets")
-        floors_hz, desired_hz = column("min_rate_hz"), column("desired_rate_hz")
-        self.wishes_hz = np.where(desired_hz > 0.0, desired_hz, floors_hz)
-        self.floors_hz = np.minimum(floors_hz, self.wishes_hz)
+        self.floors_hz, self.wishes_hz = column("min_rate_hz"), column("desired_rate_hz")
         self.slots, self.min_depths, self.max_depths = column("slot_bytes"), column("min_depth"), column("max_depth")
         self.latencies_s = np.nan_to_num(column("latency_budget_s"), nan=math.inf, posinf=math.inf)  # None is nan here
 
@@ -124,8 +118,7 @@ class Link:
         """
         rows, slots, least = self.rows, self.rows.slots, self.rows.min_depths
         of_link_s = rows.max_depths * self.costs_s
-        most_hz = np.where(np.isinf(rows.wishes_hz), 1.0 / self.costs_s, rows.wishes_hz)
-        justified = np.minimum(of_link_s, rows.latencies_s) * most_hz - least
+        justified = np.minimum(of_link_s, rows.latencies_s) * rows.wishes_hz - least
         most = np.clip(justified, least, rows.max_depths)
         # One sample is the least that a history can hold, so only what is above it gives way.
         spare, deficit = slots * (least - 1.0), float((slots * least).sum()) - memory_bytes
@@ -138,8 +131,7 @@ class Link:
         if is_short := slots.sum() > memory_bytes * (1.0 + TOLERANCE):
             words.append("memory budget below one sample per topic")
         kept = 1.0 + (least - 1.0) * floors.parts(rows.weights)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            depths = np.where(slots > 0.0, np.clip(level * rows.weights / slots, kept, most), most)
+        depths = np.clip(level * rows.weights / slots, kept, most)
         ceilings = np.select(
             [justified < least, justified >= rows.max_depths, rows.latencies_s < of_link_s],
             [Binding.MINIMUM, Binding.MAX_DEPTH, Binding.LATENCY_BUDGET],

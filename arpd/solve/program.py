@@ -5,7 +5,6 @@ Design: docs/design.md, The program.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -66,32 +65,40 @@ class Program:
         """Counts by back end and outcome; see `Solver`."""
         return self._solver.outcomes
 
-    def solve(
+    def on_link(
         self,
         capacity_bytes_per_second: float,
         topics: Sequence[Topic],
-        memory_budget_bytes: float,
         *,
         packet_overhead_s: float | None = None,
         share: float | None = None,
         crossing: int = 0,
-    ) -> Allocation:
-        """Divide the link and the memory among ``topics``.
-
-        ``deadline_ns`` of the answer is the bare period ⌈1e9/R⌉, without the slack of a plan. A topic that gets no rate
-        is paused: rate 0, ``deadline_ns`` 0.
+    ) -> Link:
+        """Return the rows on a link, with the price of the closed form.
 
         Parameters
         ----------
         capacity_bytes_per_second : C, after cross traffic and before headroom, ≥ 0 (bytes/s)
         topics : rows of the program
-        memory_budget_bytes : M, memory that all histories may take, ≥ 0 (bytes)
         packet_overhead_s : measured t_ovh, ≥ 0; None = as configured (s)
         share : part of the capacity to divide, 0..1; None = the headroom
         crossing : topics that cross the link, managed or not; only the uniform policy needs it
         """
-        overhead_s = self._settings.link.packet_overhead_s or 0.0 if packet_overhead_s is None else packet_overhead_s
-        share = self._settings.link.headroom if share is None else share
+        capacity, configured = capacity_bytes_per_second, self._settings.link
+        overhead_s = configured.packet_overhead_s or 0.0 if packet_overhead_s is None else packet_overhead_s
+        share = configured.headroom if share is None else share
+        if topics is not self._rows.topics:
+            self._rows = Rows(topics)
+        if topics and self._settings.program.policy is Policy.UNIFORM:
+            return AlikeOnLink(self._rows, capacity, overhead_s, share, crossing=crossing)
+        return Link(self._rows, capacity, overhead_s, share)
+
+    def solve(self, link: Link, memory_bytes: float) -> Allocation:
+        """Divide the link and the memory that all histories may take among the rows, by the back end.
+
+        ``deadline_ns`` of the answer is the bare period ⌈1e9/R⌉, without the slack of a plan. A topic that gets no rate
+        is paused: rate 0, ``deadline_ns`` 0.
+        """
         started_s, answered = self._clock(), set[Backend]()
 
         def find(weights: Column, low: Column, high: Column, budget: float) -> float:
@@ -99,41 +106,17 @@ class Program:
             answered.update([backend] if backend else ())
             return level
 
-        link = self.on_link(
-            capacity_bytes_per_second, topics, packet_overhead_s=overhead_s, share=share, crossing=crossing
-        )
-        found = _divided(link, memory_budget_bytes, find)
+        found = _divided(link, memory_bytes, find)
         backend = answered.pop() if len(answered) == 1 else Backend.CLOSED_FORM
         return replace(found, backend=backend, solve_s=self._clock() - started_s)
 
-    def follow(self, lasting: Allocation, link: Link, memory_budget_bytes: float) -> Allocation:
+    def follow(self, lasting: Allocation, link: Link, memory_bytes: float) -> Allocation:
         """Divide the link of this moment by the closed form; `solve` gave what lasts."""
-        found = _divided(link, memory_budget_bytes, water_level)
+        found = _divided(link, memory_bytes, water_level)
         return replace(found, backend=lasting.backend, solve_s=lasting.solve_s)
-
-    def on_link(
-        self,
-        capacity_bytes_per_second: float,
-        topics: Sequence[Topic],
-        *,
-        packet_overhead_s: float,
-        share: float,
-        crossing: int = 0,
-    ) -> Link:
-        """Return the rows on a link, with the price of the closed form; `solve` explains the arguments."""
-        capacity = capacity_bytes_per_second
-        if not (0.0 <= capacity < math.inf and 0.0 <= share <= 1.0):
-            raise ValueError(f"capacity {capacity!r} must be ≥ 0, and share {share!r} within 0..1")
-        if topics is not self._rows.topics:
-            self._rows = Rows(topics)
-        if topics and self._settings.program.policy is Policy.UNIFORM:
-            return AlikeOnLink(self._rows, capacity, packet_overhead_s, share, crossing=crossing)
-        return Link(self._rows, capacity, packet_overhead_s, share)
 
 
 def _divided(link: Link, memory_bytes: float, find: Find) -> Allocation:
-    if not 0.0 <= memory_bytes < math.inf:
-        raise ValueError(f"memory {memory_bytes!r} must be ≥ 0")
     if not link.rows.topics:
         return Allocation(capacity_bytes_per_second=link.capacity * link.share)
     division = link.divide(memory_bytes, find)

@@ -153,7 +153,7 @@ def _of_link(snapshot: Snapshot) -> Iterator[Metric]:
 
 
 def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
-    observation, allocation, taken = snapshot.observation, snapshot.allocation, snapshot.observation.taken
+    observation, allocation = snapshot.observation, snapshot.allocation
     plan = snapshot.decision.plan
     text = "Wire bytes per second that the topics may put on the link now."
     yield _family("link_budget_bytes_per_second", text, allocation.capacity_bytes_per_second)
@@ -174,7 +174,7 @@ def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
         "Publishers that refuse the last request; middleware and transient_local refuse for good, but are paced.",
         _counts("reason", _LASTING, Counter(p.refusal_reason for p in observation.publishers)),
     )
-    yield _family("endpoints_pending", "Publishers that the ROS graph does not show.", taken.pending)
+    yield _family("endpoints_pending", "Publishers that the ROS graph does not show.", observation.pending)
     text = "Other arpd daemons in the ROS domain; only one of them drives the robot."
     yield _family("other_daemons", text, len(observation.other_daemons))
     text = "1 while another daemon drives the robot and this one stands by."
@@ -183,7 +183,7 @@ def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
     yield _family(
         "messages_refused_total",
         "Messages from the network, or parts of them, that arpd refused.",
-        [({"kind": kind, "reason": reason}, taken.refused.get((kind, reason), 0)) for kind, reason in kinds],
+        [({"kind": kind, "reason": reason}, observation.refused.get((kind, reason), 0)) for kind, reason in kinds],
     )
     text = "Memory of the robot computer that new work could use."
     yield _family("memory_available_bytes", text, observation.memory.available_bytes)

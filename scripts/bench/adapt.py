@@ -69,7 +69,8 @@ def robot_for(way: str, course: Course, robot: Robot) -> Robot:
         times = np.arange(0.0, DURATION_S, 0.1)
         settings, mean = demo_settings(), fmean(at(course, float(now_s))[0] for now_s in times)
         rows, memory_bytes = rows_of_traffic(traffic, settings), settings.program.memory_budget_bytes
-        answer = Program(settings).solve(mean, rows, memory_bytes)
+        program = Program(settings)
+        answer = program.solve(program.on_link(mean, rows), memory_bytes)
         rates = {each.name.removeprefix(PREFIX): each.rate_hz for each in answer.topics}
         return replace(
             robot, topics=tuple(replace(each, rate_hz=min(each.rate_hz, rates[each.name])) for each in robot.topics)

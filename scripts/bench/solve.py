@@ -49,7 +49,8 @@ from arpd.model.settings import Backend, Settings
 program = Program(Settings(), backend=Backend(sys.argv[1]))
 imported_s = time.perf_counter() - started
 topic = dict(packets=1, desired_rate_hz=20.0, min_rate_hz=1.0)
-program.solve(1e5, [Topic(name=f"/t{i}", wire_bytes=1000.0 + i, **topic) for i in range(12)], 2.0**26)
+topics = [Topic(name=f"/t{i}", wire_bytes=1000.0 + i, **topic) for i in range(12)]
+program.solve(program.on_link(1e5, topics), 2.0**26)
 status = dict(line.split(":", 1) for line in open("/proc/self/status"))
 print(imported_s, int(status["VmHWM"].split()[0]) * 1024)
 """
@@ -62,7 +63,7 @@ def topics_like_a_robots(count: int, rng: random.Random) -> list[Topic]:
             name=f"/t{i}",
             wire_bytes=round(10 ** rng.uniform(2.4, 4.6), 1),
             packets=1,
-            desired_rate_hz=round(10 ** rng.uniform(0.0, 2.0), 2),
+            desired_rate_hz=round(10 ** rng.uniform(0.0, 2.0), 2),  # at least the floor
             min_rate_hz=rng.choice([0.0, 0.5, 1.0]),
             weight=rng.choice([1.0, 1.0, 1.0, 2.0, 4.0, 10.0]),
             latency_budget_s=1.0,
@@ -113,7 +114,7 @@ def race(count: int, turns: int) -> dict[str, Any]:
                 problem = weights, low, np.maximum(low, np.minimum(1.0, cost * wish / capacity)), HEADROOM
                 started = time.thread_time()
                 if name in programs:
-                    programs[name].solve(capacity, topics, MEMORY_BYTES)
+                    programs[name].solve(programs[name].on_link(capacity, topics), MEMORY_BYTES)
                 else:
                     shares = shares_of(name, *problem)
                 elapsed_s = time.thread_time() - started

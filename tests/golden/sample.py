@@ -11,7 +11,7 @@ from arpd.model.allocation import Allocation, AllocationStatus, Binding, Decisio
 from arpd.model.endpoints import Direction, RefusalReason, SwapRecord
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
-from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation, Taken
+from arpd.model.observation import MemoryState, MessageKind, MessageRefusal, Observation
 from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
@@ -200,13 +200,11 @@ def make_snapshot() -> Snapshot:
             radio_bytes_per_second=8_125_000.0,
             peer_ages_s=MappingProxyType({"base-3f2a": 0.0625, "edge-c001": 12.5}),
             peer_clocks=MappingProxyType({"base-3f2a": ClockOffset(offset_s=-0.75, uncertainty_s=0.00390625)}),
-            taken=Taken(
-                refused={
-                    (MessageKind.REPORTS, MessageRefusal.UNANSWERED): 7,
-                    (MessageKind.PUBLISHERS, MessageRefusal.RATE): 2,
-                },
-                pending=3,
-            ),
+            refused={
+                (MessageKind.REPORTS, MessageRefusal.UNANSWERED): 7,
+                (MessageKind.PUBLISHERS, MessageRefusal.RATE): 2,
+            },
+            pending=3,
             relay=RelaySummary(
                 other_host="base",
                 is_reachable=True,

@@ -452,7 +452,7 @@ def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world,
 
     def is_refused():
         liar.publish(UInt8MultiArray(data=b"{}"))
-        return seen().taken.refused.get((MessageKind.PUBLISHERS, MessageRefusal.MALFORMED))
+        return seen().refused.get((MessageKind.PUBLISHERS, MessageRefusal.MALFORMED))
 
     eventually("a false snapshot is refused", is_refused)
     ends.end("robot")

@@ -248,7 +248,7 @@ def test_the_journal_has_the_decision_log_as_fields(running):
     for unit, host in running.hosts():
         entries = running.entries(host, f"_SYSTEMD_UNIT={unit}.service", "_TRANSPORT=journal")
         assert {entry["SYSLOG_IDENTIFIER"] for entry in entries} == {unit}
-        assert all(entry["CODE_FILE"].endswith(".py") for entry in entries)
+        assert all(entry["LOGGER"].startswith("arpd.") for entry in entries)
 
 
 @pytest.mark.parametrize("unit", ["arpd", "arpd-relay", "arpd-peer"])

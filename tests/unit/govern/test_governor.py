@@ -68,7 +68,8 @@ class Run:
     def solved(self, capacity):
         key = (capacity, self.topics, self.memory)
         if key not in self.answers:
-            self.answers[key] = self.program.solve(*key)
+            link = self.program.on_link(capacity, self.topics)
+            self.answers[key] = self.program.solve(link, self.memory)
         return self.answers[key]
 
     def tick(self, capacity=1e6, *, lasting=None, state=LinkState.STEADY):

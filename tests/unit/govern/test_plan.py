@@ -22,7 +22,7 @@ EMPTY = QosPlan()
 
 
 def planned(capacity, topics=(TOPIC,), publishers=(PUBLISHER,), *, previous=EMPTY, settings=None):
-    allocation = PROGRAM.solve(capacity, topics, 2.0**26)
+    allocation = PROGRAM.solve(PROGRAM.on_link(capacity, topics), 2.0**26)
     made = Wanted(allocation, topics, publishers, previous=previous.topics, settings=settings or Settings())
     return QosPlan(generation=previous.generation + 1, topics=made.rows)
 
@@ -32,7 +32,7 @@ def test_the_offered_period_has_slack_and_stays_compatible(slack, requested_ns, 
     """The offer has the slack, 10 ms at least, is at most twice that, and is never longer than a reader requests."""
     slacked = Settings(program=ProgramSettings(deadline_slack=slack))
     topics = [replace(TOPIC, desired_rate_hz=source_hz, min_rate_hz=min(2.0, source_hz))]
-    period_ns = PROGRAM.solve(capacity, topics, 2.0**26).topics[0].deadline_ns
+    period_ns = PROGRAM.solve(PROGRAM.on_link(capacity, topics), 2.0**26).topics[0].deadline_ns
     free = planned(capacity, topics, settings=slacked).topics["/t"]
     slacked_ns = max(slack * period_ns, period_ns + 10_000_000)
     assert slacked_ns <= free.deadline_ns <= 2 * slacked_ns + 1
@@ -66,7 +66,7 @@ def test_whatever_was_in_force_rows_promise_no_more_than_the_program_gives(capac
     after = four(capacity, factor, previous=four(capacity))
     topics = [replace(TOPIC, name=f"/t{i}", wire_bytes=900.0 * (i + 1)) for i in range(4)]
     for given_, row in zip(
-        PROGRAM.solve(capacity * factor, topics, 2.0**26).topics, after.topics.values(), strict=True
+        PROGRAM.solve(PROGRAM.on_link(capacity * factor, topics), 2.0**26).topics, after.topics.values(), strict=True
     ):
         assert row.deadline_ns == 0 or 0 < given_.deadline_ns <= row.deadline_ns
         assert row.depth <= max(1.1 * given_.depth_applied, given_.depth_applied + 1)

@@ -15,7 +15,7 @@ from arpd.host.journal import JournalHandler, configure_logging, log_event
 from arpd.report.conditions import MESSAGE_IDS, Event, Happening, Severity
 
 CATALOG = Path(__file__).parents[3] / "systemd/arpd.catalog"
-LOST = "lost {} messages, because the journal did not take them"
+LOST = "lost {} messages: the journal did not take them"
 
 
 def fields(data):

@@ -29,7 +29,7 @@ def often(few, many):
 def robots(draw):
     found = []
     for i in range(draw(st.integers(1, 8))):
-        desired_hz = draw(often([5.0, 10.0, 20.0, math.inf], st.floats(0.1, 500.0)))
+        desired_hz = draw(often([5.0, 10.0, 20.0, 1e6], st.floats(0.1, 500.0)))
         found.append(
             Topic(
                 name=f"/t{i}",
@@ -61,7 +61,7 @@ def row_of(topic, *, margin=1.0):
 
 
 def divided(topics, capacity, share, overhead=0.0):
-    allocation = PROGRAM.solve(capacity, topics, MEMORY, packet_overhead_s=overhead, share=share)
+    allocation = PROGRAM.solve(PROGRAM.on_link(capacity, topics, packet_overhead_s=overhead, share=share), MEMORY)
     assert allocation.price is not None
     return allocation
 

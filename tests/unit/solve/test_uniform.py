@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.govern.plan import make_plan
+from arpd.govern.plan import Wanted
 from arpd.model.allocation import AllocationStatus
 from arpd.model.settings import LinkSettings, Policy, ProgramSettings, Settings
 from arpd.solve.program import Program
 from tests.examples import examples
-from tests.unit.solve.test_program import AMPLE, topic
+from tests.unit.solve.test_program import AMPLE, solved, topic
 
 
 def robot(count=12, **fields):
@@ -25,14 +23,11 @@ def program(**link):
     return Program(Settings(program=policy, link=LinkSettings(headroom=1.0, **link)))
 
 
-def plan_of(allocation, topics):
-    uniform = Settings(program=ProgramSettings(policy=Policy.UNIFORM))
-    return make_plan(allocation, topics, (), previous={}, generation=1, settings=uniform)
-
-
 def rates_under(allocation, topics):
     """Return the rate that each publisher computes from the price and its row of the plan."""
-    return [allocation.price.rate_hz(row) for row in plan_of(allocation, topics).topics.values()]
+    uniform = Settings(program=ProgramSettings(policy=Policy.UNIFORM))
+    rows = Wanted(allocation, topics, (), previous={}, settings=uniform).rows
+    return [allocation.price.rate_hz(row) for row in rows.values()]
 
 
 @examples(50)
@@ -41,7 +36,7 @@ def test_between_two_plans_the_price_is_the_same(capacity, share, crossing):
     """The price alone is that of the whole answer."""
     solver, topics = program(), robot()
     quick = solver.on_link(capacity, topics, packet_overhead_s=0.0, share=share, crossing=crossing).price()
-    assert solver.solve(capacity, topics, AMPLE, share=share, crossing=crossing).price == quick
+    assert solved(solver, capacity, topics, AMPLE, share=share, crossing=crossing).price == quick
 
 
 @pytest.mark.parametrize(
@@ -56,7 +51,7 @@ def test_between_two_plans_the_price_is_the_same(capacity, share, crossing):
 def test_a_link_that_cannot_carry_rmin(max_rate_hz, rate_hz, words):
     """Where (2) cannot be met, the reserve gives way, then Rmin, and the words say how much is left."""
     topics = robot()
-    allocation = program().solve(1000.0 * max_rate_hz, topics, AMPLE, crossing=12)
+    allocation = solved(program(), 1000.0 * max_rate_hz, topics, AMPLE, crossing=12)
     assert allocation.uniform.rate_hz == pytest.approx(rate_hz)
     assert allocation.degradation == words
     assert (allocation.status is AllocationStatus.DEGRADED) == bool(words)
@@ -77,8 +72,8 @@ def robots(draw):
             f"/t{i}",
             wire_bytes=draw(st.floats(60.0, 1e5)),
             packets=draw(st.integers(1, 70)),
-            desired_rate_hz=draw(st.one_of(st.just(math.inf), st.floats(0.1, 1000.0))),
-            slot_bytes=draw(st.floats(0.0, 1e5)),
+            desired_rate_hz=max(fields["min_rate_hz"], draw(st.one_of(st.just(1e6), st.floats(0.1, 1000.0)))),
+            slot_bytes=draw(st.floats(1.0, 1e5)),
             **fields,
         )
         for i in range(draw(st.integers(1, 12)))
@@ -96,7 +91,7 @@ def robots(draw):
 def test_link_and_memory_always_carry_it(topics, capacity, share, memory, crossing):
     """All rates together fit the divided part of the link, all histories fit the memory, and depths are in bounds."""
     solver = program(packet_overhead_s=2e-4)
-    allocation = solver.solve(capacity, topics, memory, share=share, crossing=crossing)
+    allocation = solved(solver, capacity, topics, memory, share=share, crossing=crossing)
     assert sum(each.share for each in allocation.topics) <= share * (1 + 1e-9)
     depth = allocation.uniform.depth
     assert depth == 1 or sum(each.slot_bytes for each in topics) * depth <= memory * (1 + 1e-6)

@@ -6,15 +6,16 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from arpd.host.config.first_file import LinkChoice, first_file
+from arpd.host.config.first_file import first_file
 from arpd.host.config.load import load_settings
 from arpd.model.errors import ConfigError
 from arpd.model.link_topics import LinkTopic, TopicTraffic
+from arpd.model.settings import RelaySettings, Settings
 from arpd.report.first_guess import first_guess
 from tests.examples import examples
 from tests.unit.report.test_first_guess import TOPICS
 
-LINK = LinkChoice(link_domain=77, robot="10.0.0.1", robot_is_guessed_from="wlan0")
+ENDS = RelaySettings(link_domain=77, robot="10.0.0.1")
 QUICK = examples(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 WORDS = st.text(max_size=80)
 # What breaks a line somewhere: in YAML, in Python, on a terminal.
@@ -25,10 +26,10 @@ BREAKS = "\n", "\r", "\x85", "\u2028", "\u2029", "\x0b", "\x0c", "\x1b[2J", "\x0
 def loaded(tmp_path):
     """Write a first file for topics, and read it as the daemon does."""
 
-    def loaded(topics, link=LINK, origin="a test"):
+    def loaded(topics, ends=ENDS, guessed_from="wlan0", origin="a test"):
         path = tmp_path / "arpd.yaml"
         guess = first_guess(topics)
-        path.write_bytes(first_file(guess, link, origin=origin).encode())
+        path.write_bytes(first_file(guess, Settings(relay=ends), guessed_from=guessed_from, origin=origin).encode())
         return guess, load_settings(path, interfaces=None, local_domain=0)
 
     return loaded
@@ -53,16 +54,14 @@ def test_words_from_outside_stay_in_their_comments(loaded, words, breaking):
         LinkTopic(name="/a", types=(kind,), readers=(reason,), unmeasured=reason),
         LinkTopic(name="/b", types=(kind,), writers=(kind,), traffic=TopicTraffic(samples=0, rate_hz=0.0)),
     ]
-    link = LinkChoice(link_domain=77, robot="robot", robot_is_guessed_from=interface)
-    _, read = loaded(found, link, origin)
+    _, read = loaded(found, RelaySettings(link_domain=77, robot="robot"), interface, origin)
     assert {topic.name for topic in read.topics} == {"/a", "/b"}
     assert (read.relay.robot, read.on_stop) == ("robot", "restore")
 
 
 def test_without_an_address_check_names_the_line_to_fill_in(loaded):
     """A robot whose address is unknown gets a file with one fault, at the key that is missing."""
-    link = LinkChoice(link_domain=77)
     with pytest.raises(ConfigError) as error:
-        loaded([], link)
+        loaded([], RelaySettings(link_domain=77), "")
     assert len(error.value.faults) == 1
     assert "relay.robot" in error.value.faults[0]
