@@ -11,12 +11,7 @@ _RAW = -15  # deflate without zlib's header and checksum
 
 
 def pack(document: Any, *, likely: bytes = b"") -> bytes:
-    """Return a document as the bytes of a message.
-
-    Parameters
-    ----------
-    likely : texts that such a document has, which cost next to nothing then (zlib's dictionary)
-    """
+    """Return a document as the bytes of a message, in which ``likely`` texts cost little (zlib's dictionary)."""
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode(errors="replace")
     packer = zlib.compressobj(wbits=_RAW, zdict=likely)
     return min(text, packer.compress(text) + packer.flush(), key=len)

@@ -154,20 +154,13 @@ def default_name(interface: str) -> str:
 
 
 def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_level: str) -> int:
-    """Run the peer until SIGINT or SIGTERM.
+    """Run the peer until SIGINT or SIGTERM; raises ConfigError, and LinkError if only a new process can use the link.
 
     Parameters
     ----------
     interface : link interface on this host, or ``auto``
     name : name of the peer in its reports; `default_name` when None
     config_path : YAML configuration, for the link domain of a relay with two ends; None = there is none
-
-    Raises
-    ------
-    ConfigError
-        If the configuration has faults.
-    LinkError
-        If only a new process can use the link's address.
     """
     configure_logging(log_level, name="arpd-peer")
     link = None

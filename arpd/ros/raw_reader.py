@@ -61,13 +61,9 @@ class Sample(NamedTuple):
 
 
 class Inlet(Protocol):
-    """What a `ReadingThread` serves: a `RawReader`, or the inlet of a server or a client.
+    """What a `ReadingThread` serves: a `RawReader`, or the inlet of a server or a client, by the name of its topic.
 
-    Attributes
-    ----------
-    name : of its topic or service
-    handle : rclpy's, of its endpoint
-    notify : function of rcl that sets what the middleware calls when something has come
+    ``notify`` is the function of rcl that sets what the middleware calls when something has come to the endpoint.
     """
 
     name: str

@@ -56,18 +56,13 @@ def _is_ours(path: Path) -> bool:
 def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
-    It has none of a node's usual services, of parameters and type descriptions, because nobody spins it.
+    It has none of a node's usual services, of parameters and type descriptions, because nobody spins it. Raises
+    RosUnavailableError if ROS 2 cannot be imported here, or does not start.
 
     Parameters
     ----------
-    name : its name
     link : domain that it joins; the host's own domain when None
     context : rclpy context to start for it; None = the process's own, for a link a new one
-
-    Raises
-    ------
-    RosUnavailableError
-        If ROS 2 cannot be imported here, or does not start.
     """
     prepare_environment(FASTDDS_PROFILE if link is None else TWO_ENDED_PROFILE)
     try:
@@ -148,15 +143,12 @@ def serve_until(
 ) -> None:
     """Run a service in this thread, with a watchdog, until ``stopping`` is set.
 
+    Raises LinkError if only a new process can use the link's address.
+
     Parameters
     ----------
     step : called again and again; where it fails, the watchdog is not fed
     every_s : time between two calls, a tenth of a second or more (s)
-
-    Raises
-    ------
-    LinkError
-        If only a new process can use the link's address.
     """
     due_s = -math.inf
     while not stopping.is_set():

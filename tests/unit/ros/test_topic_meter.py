@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 
 import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.ros.topic_meter import TopicMeter
+from arpd.ros.topic_measuring import TopicMeter
 
 
 def fed(arrivals, *, rated_from_s=0.0, size=100):
