@@ -289,7 +289,7 @@ class _Run:
     def _sample_ages(self) -> None:
         if self._timeline.now_s < self._scenario.duration_s:
             for publisher in self._publishers:
-                publisher.arrivals.on_age(self._timeline.now_s)
+                publisher.arrivals.note_age()
 
     def _show(self) -> None:
         t_s = round(self._timeline.now_s, 6)  # so that people can read it

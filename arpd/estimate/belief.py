@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 
 from arpd.estimate.capacity import CapacityBelief
 from arpd.estimate.parameters import FALLEN, NOTICED, RADIO_SHARE
-from arpd.model.link import CapacityKind, EstimatorEvent
+from arpd.model.link import CapacityKind
 
 
 class Belief:
@@ -31,7 +30,6 @@ class Belief:
         self.kind = CapacityKind.CONFIGURED
         self.changed_at_s = self.fell_at_s = -math.inf
         self.evidence = "no evidence yet"
-        self.events_by_kind: Counter[str] = Counter()
 
     def assume(self, capacity: float) -> None:
         """Begin anew with a capacity, without evidence (bytes/s)."""
@@ -39,23 +37,16 @@ class Belief:
 
     def follow(self, now_s: float, kind: CapacityKind, why: str) -> None:
         """State what the filter holds, of a kind, where that is news."""
-        before, capacity = self.capacity, self.filter.stated(self.capacity)
-        is_new, self.kind = kind is not self.kind, kind
-        if not is_new and abs(capacity / before - 1.0) <= NOTICED:
-            return
-        if kind is CapacityKind.LOCAL:
-            self.change(EstimatorEvent.LOCAL, now_s, why)
-        elif is_new:
-            self.change(EstimatorEvent.FIRST, now_s, why)
-        else:
-            self.fell_at_s = now_s if capacity < FALLEN * before else self.fell_at_s
-            self.change(EstimatorEvent.DOWN if capacity < before else EstimatorEvent.UP, now_s, why)
+        before, is_new, self.kind = self.capacity, kind is not self.kind, kind
+        if is_new or abs(self.filter.stated(before) / before - 1.0) > NOTICED:
+            self.change(now_s, why)
+            if not is_new and kind is CapacityKind.PEER and self.capacity < FALLEN * before:
+                self.fell_at_s = now_s
 
-    def change(self, event: EstimatorEvent, now_s: float, why: str) -> None:
+    def change(self, now_s: float, why: str) -> None:
         """State what the filter holds, for a reason."""
         self.capacity, self.changed_at_s = self.filter.stated(self.capacity), now_s
         self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
-        self.events_by_kind[event] += 1
 
     def in_force(self) -> tuple[float, CapacityKind, str]:
         """Return the capacity that counts (bytes/s), its kind, and why; the configuration or the radio may set it."""

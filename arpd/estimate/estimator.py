@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
@@ -15,20 +14,20 @@ from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
 from arpd.model.endpoints import Direction
-from arpd.model.link import CapacityKind, EstimatorEvent, LinkEstimate, LinkState
+from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from arpd.model.endpoints import PublisherState
+    from arpd.model.interface import LinkCounters
     from arpd.model.observation import Observation
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.model.settings import LinkSettings
 
 _ENOUGH_TRAINS = 3
-_ALONE = "the queue of this host's interface"
-_MEASURED = (CapacityKind.PEER, CapacityKind.LOCAL)
+_SETTLED = 8  # large trains that show the capacity of a link that rests, also in the light of an overhead just found
 
 
 class Estimator:
@@ -80,8 +79,8 @@ class Estimator:
     def has_evidence(self) -> bool:
         """True when the first plan may be made: the capacity is measured or pinned, or the wait for a peer is over."""
         return (
-            self._belief.kind in _MEASURED
-            or self._settings.capacity_bytes_per_second is not None
+            self._belief.kind in {CapacityKind.PEER, CapacityKind.LOCAL}
+            or self._belief.pinned is not None
             or self._last_s - self._started_at_s > self._first_wait_s
         )
 
@@ -95,14 +94,14 @@ class Estimator:
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return the estimate."""
-        now_s, was_out = observation.now_s, self._state is LinkState.OUTAGE
+        now_s = observation.now_s
         # The rate of a short time counts less: how often this host looks is no evidence.
         self._look_weight = min(1.0, (now_s - self._last_s) / parameters.LOOK_S)
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._belief.radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
         self._note_sizes(() if observation.relay else observation.publishers)
-        moved = max(self._peers.delivery(-math.inf)[0], local.sent_bytes_per_second())
+        moved = max(self._peers.delivery()[0], local.sent_bytes_per_second())
         moved -= self._cross_traffic.probe_bytes(now_s - parameters.SHOWS_S) / parameters.DELIVERY_WINDOW_S
         self._used_s = now_s if moved > parameters.RESTING * capacity else min(self._used_s, now_s)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
@@ -124,9 +123,7 @@ class Estimator:
             self._state = LinkState.OUTAGE
         else:
             self._forget_queue()
-            self._state = self._judge_alone(observation)
-        if self._state is LinkState.OUTAGE and not was_out:
-            self._belief.events_by_kind[EstimatorEvent.OUTAGE] += 1
+            self._state = self._judge_alone(now_s, observation.counters)
         return self._estimate(now_s, cross_traffic)
 
     def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
@@ -136,30 +133,26 @@ class Estimator:
         ----------
         is_short : True while topics ask for more than the link is believed to carry
         """
-        if self._settings.capacity_bytes_per_second is not None:
+        if self._belief.pinned is not None:
             return ()
-        wanted = self._schedule.wanted(
-            now_s,
-            capacity_bytes_per_second=self._capacity,
-            is_measured=self._belief.kind is CapacityKind.PEER,
-            is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
-            is_free=self._queue_delay_s < self._queue_low_s,
-            is_urgent=now_s - self._belief.fell_at_s < parameters.URGENT_S,
-            surprise_bytes_per_second=self._trains.surprise(
-                now_s, capacity=self._belief.capacity, packet_overhead_s=self._overhead_s
-            ),
-            needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
-            copies=self._copies,
-            is_short=is_short,
-            is_resting=self._is_resting,
-            is_settled=self._trains.is_settled,
+        requests = tuple(
+            self._schedule.wanted(
+                now_s,
+                capacity=self._capacity,
+                is_measured=self._belief.kind is CapacityKind.PEER,
+                is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
+                is_free=self._queue_delay_s < self._queue_low_s,
+                is_urgent=now_s - self._belief.fell_at_s < parameters.URGENT_S,
+                needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
+                copies=self._copies,
+                is_short=is_short,
+                is_resting=self._is_resting and self._trains.count >= _SETTLED,
+            )
         )
-        requests = tuple(wanted)
         for request in requests:
             self._cross_traffic.note_probe(request, now_s, peers=self._copies)
             if request.packets == 1:
-                handed_bytes = self._local.handed_bytes
-                self._peers.note_sent(SentPing(number=request.number, sent_s=now_s, handed_bytes=handed_bytes))
+                self._peers.note_sent(SentPing(request.number, now_s, self._local.handed_bytes))
             self._loss.note_sent(request)
         return requests
 
@@ -210,111 +203,93 @@ class Estimator:
         self._trains.clear()
         # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
         self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S
-        self._cross_traffic.note_outage(now_s - silent_s, now_s)
         if self._belief.kind is CapacityKind.PEER:
             self._belief.fell_at_s = now_s
             self._belief.filter.scatter(0.7)
-            why = f"reports resumed after {silent_s:.1f} s of silence"
-            self._belief.change(EstimatorEvent.RESUME, now_s, why)
+            self._belief.change(now_s, f"reports resumed after {silent_s:.1f} s of silence")
 
     # -- the capacity
 
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
-        believed = self._belief.filter
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        why = self._learn_from_trains(now_s)
+        believed, why = self._belief.filter, ""
+        for rate in self._trains.take(packet_overhead_s=self._overhead_s):
+            believed.wait(now_s)
+            believed.train(rate)
+            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
         pinged, self._pinged = self._pinged, []
         if now_s <= self._learns_from_s:
             return
         late_s = 1.5 * (self._peers.return_delay_s or 0.0)
         stays = self._queues.stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + late_s
-        # Bytes from other senders are no evidence.
-        received, most = self._peers.delivery(-math.inf)[0], self._local.could_have_arrived(self._queue_delay_s)
+        # Bytes from other senders are no evidence. Beside them, what this host sent may wait in a queue that it cannot
+        # see, unless a ping met none.
+        received, most = self._peers.delivery()[0], self._local.could_have_arrived(self._queue_delay_s)
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
-        hears_others = received > parameters.FOREIGN * most
+        has_arrived = received <= parameters.FOREIGN * most or self._queue_delay_s < parameters.IDLE_S
         # What leaves this host arrives at the peer: the same bytes count once.
         busy, weight = self._local.busy_rate, self._look_weight
         if busy is None and has_reports:
-            busy, weight = self._peers.busy_rate, 1.0
-        if not busy and not stays and delivered > 0:
-            # What this host sent beside others' traffic may still wait in a hidden queue, unless a ping met none.
-            has_arrived = has_reports and (not hears_others or self._queue_delay_s < parameters.IDLE_S)
-            self._weigh_idleness(now_s, delivered, pinged, has_reports=has_reports, has_arrived=has_arrived)
-        elif not busy and has_reports and delivered > 0 and hears_others:
-            if (growth := self._queues.growth) < -0.5:
-                return  # the queue drains, because less is sent than the link carries
-            believed.wait(now_s)
-            believed.filled_by(delivered / (1.0 + growth))
-            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
-        elif not busy and has_reports and delivered > 0:
-            busy, weight = delivered, 1.0
+            busy, weight = self._peers.busy_rate or (delivered if stays and has_arrived else None), 1.0
         if busy:
             believed.wait(now_s)
             believed.delivered_busy(busy, weight=weight, overhead=self._peers.overhead_of(busy, self._overhead_s))
             why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
+        elif has_reports and stays and not has_arrived and delivered > 0 and (growth := self._queues.growth) > -0.5:
+            believed.wait(now_s)  # a queue that drains says nothing: less is sent than the link carries
+            believed.filled_by(delivered / (1.0 + growth))
+            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
+        elif has_reports and not stays and delivered > 0:
+            self._weigh_idleness(now_s, delivered, pinged, has_arrived=has_arrived)
         if self._belief.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS:
             self._belief.follow(now_s, CapacityKind.PEER, why or "carried without a queue")
 
-    def _learn_from_trains(self, now_s: float) -> str:
-        """Return in words what they saw, empty without any."""
-        why = ""
-        for rate in self._trains.take(packet_overhead_s=self._overhead_s):
-            self._belief.filter.wait(now_s)
-            self._belief.filter.train(rate)
-            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
-        return why
-
-    def _weigh_idleness(
-        self, now_s: float, delivered: float, pinged: Sequence[float], *, has_reports: bool, has_arrived: bool
-    ) -> None:
+    def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_arrived: bool) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
         believed, overhead = self._belief.filter, self._peers.overhead_of(delivered, self._overhead_s)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
         if overhead + delivered / self._belief.capacity <= parameters.USED:
             return
-        # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load.
+        # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load. Then to
+        # carry less than is believed is no news, either: the belief would only rise with time.
         shows_queue = self._largest_s > 2.0 * parameters.IDLE_S
-        pinged = pinged if shows_queue and self._alarm_s == 0.0 else ()
-        is_look = shows_queue and not has_reports and self._local.is_empty and self._local.is_where_it_waits
         carried = parameters.CAUTION * delivered if has_arrived else 0.0
-        # Where no ping shows a queue, to carry less than is believed is no news: the belief would only rise with time.
-        if (shows_queue and (has_arrived or pinged or is_look)) or carried > self._belief.capacity:
+        if shows_queue or carried > self._belief.capacity:
             believed.wait(now_s)
         if has_arrived:
             believed.carried(carried, overhead=overhead)
-        shown = 1.0 - parameters.IDLE_S / self._largest_s if shows_queue else 0.0
+        if not shows_queue or self._alarm_s > 0.0:
+            return
+        shown = 1.0 - parameters.IDLE_S / self._largest_s
         for delay_s in pinged:
-            is_idle = delay_s < parameters.IDLE_S
             weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
+            is_idle = delay_s < parameters.IDLE_S
             believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
-        if is_look:
-            believed.ping(delivered, was_idle=True, weight=parameters.LOOK_WEIGHT, overhead=overhead)
 
     def _judge(self, now_s: float) -> LinkState:
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
             is_draining = now_s - self._belief.fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
-        busy = self._peers.delivery(-math.inf)[0] > 0.8 * self._settings.headroom * self._capacity
+        busy = self._peers.delivery()[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
 
-    def _judge_alone(self, observation: Observation) -> LinkState:
+    def _judge_alone(self, now_s: float, counters: LinkCounters | None) -> LinkState:
         """Judge without a peer: what leaves while the local queue pushes back is the capacity."""
-        counters, now_s = observation.counters, observation.now_s
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
         believed, sent = self._belief.filter, self._local.sent_bytes_per_second()
-        blocked = self._local.blocked_rate(observation)
-        if (rate := self._local.busy_rate or blocked) is not None:
+        busy, is_known = self._local.busy_rate, self._belief.kind is CapacityKind.LOCAL
+        # Where a queue has shown the capacity, none shows that there is more.
+        is_idle = is_known and counters.backlog_bytes == 0 and sent > parameters.USED * self._belief.capacity
+        if busy is not None or is_idle:
             believed.wait(now_s)
-            believed.delivered_busy(rate, weight=1.0 if self._local.busy_rate is None else self._look_weight)
-            self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
-        elif self._local.is_empty and self._local.is_where_it_waits and sent > parameters.USED * self._belief.capacity:
-            believed.wait(now_s)
-            believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
-            if self._belief.kind is CapacityKind.LOCAL:
-                self._belief.follow(now_s, CapacityKind.LOCAL, _ALONE)
-        return LinkState.CONGESTED if self._local.backlog_s > 0.0 or blocked is not None else LinkState.APP_LIMITED
+            if busy is not None:
+                believed.delivered_busy(busy, weight=self._look_weight)
+            else:
+                believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
+            self._belief.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")
+        return LinkState.CONGESTED if self._local.backlog_s > 0.0 else LinkState.APP_LIMITED
 
     @property
     def _capacity(self) -> float:
@@ -361,7 +336,7 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
-            delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery(-math.inf)[0],
+            delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery()[0],
             is_resting=self._is_resting,
             age_s=0.0 if self._belief.pinned is not None else now_s - since_s,
             evidence=evidence,
@@ -370,5 +345,4 @@ class Estimator:
             # In an outage nobody knows whether unanswered probes are lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),
             return_delay_s=None if is_out else self._peers.return_delay_s,
-            events_by_kind=MappingProxyType(dict(self._belief.events_by_kind)),
         )

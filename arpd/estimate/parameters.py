@@ -11,22 +11,19 @@ IDLE_S = 0.003  # a ping that is delayed by less met no queue
 BURST_BYTES, BURST_SHARE = 15_000.0, 0.5  # backlog that is no queue: so many bytes, or this part of the largest message
 DELIVERY_WINDOW_S, DELAY_WINDOW_S = 0.300, 10.0  # span of the mean delivery, and of the least delay
 LOOK_S = 0.03  # time between looks at a busy link; what left in less counts less
-LOCAL_WINDOW_S = 1.0  # span over which sending is averaged without a peer
 
 RESTING, RESTING_S = 0.02, 2.0  # part of the capacity below which the link rests, after so long
 SHOWS_S = 0.8  # time in which a train may show in the reports of a link that rests
 
 # The capacity.
 USED = 0.5  # part of the capacity from which on the absence of a queue shows that there is more
-# Evidence in a ping, and in a look at an empty queue of this host: several meet one burst.
+# Evidence in a ping, and without a peer in a look at an empty queue of this host: several meet one burst.
 PING_WEIGHT, LOOK_WEIGHT = 0.8, 0.3
-QUEUED_HERE_S = 5.0  # such a look counts for so long after a queue was seen there
 RECENT_S = 0.15  # span of the delivery that counts while a queue stays
 CAUTION = 0.95  # part of what arrived that counts as carried
 FOREIGN = 1.1  # a peer that receives this multiple of what this host sends hears others, too
 NOTICED = 0.015  # relative change that is stated
 FALLEN, URGENT_S = 0.8, 10.0  # part of the capacity below which trains are urgent, and time in which they are
-TRAIN_MEMORY_S = 30.0  # age at which a train is forgotten
 # Most of a radio's bit rate that carries data: 802.11 spends the rest on preambles, contention and acknowledgements.
 RADIO_SHARE = 0.7
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.estimate import parameters
 from arpd.estimate.local_queue import StandingQueue
@@ -24,13 +23,29 @@ _LEAST_INTERVAL_S = 0.05
 _HELD_INTERVAL_S = 1.5 * PROMPT_S  # a shorter report had to wait before it left
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SentPing:
+class SentPing(NamedTuple):
     """Ping that left: its number, its departure (s), and the bytes handed to the interface before; None = unknown."""
 
     number: int
     sent_s: float
     handed_bytes: float | None
+
+
+class _Recent:
+    """Times of the last 10 s, of any clock (s)."""
+
+    def __init__(self) -> None:
+        self._noted: deque[tuple[float, float]] = deque()
+
+    def note(self, now_s: float, value_s: float) -> float:
+        """Note one, and return its excess over the least (s)."""
+        self._noted.append((now_s, value_s))
+        while now_s - self._noted[0][0] > parameters.DELAY_WINDOW_S:
+            self._noted.popleft()
+        return value_s - min(self.values())
+
+    def values(self) -> list[float]:
+        return [value_s for _, value_s in self._noted]
 
 
 class QueueGauge:
@@ -54,11 +69,9 @@ class QueueGauge:
         self.delay_s = 0.0
         self.return_delay_s: float | None = None
         self.backlog = StandingQueue(fresh_s=_BYTES_ARE_FRESH_S, least_span_s=_LEAST_INTERVAL_S)
-        self._delays: deque[tuple[float, float]] = deque()
-        self._return_delays: deque[tuple[float, float]] = deque()
+        self._delays, self._return_delays, self._round_trips = _Recent(), _Recent(), _Recent()
         self._deliveries: deque[tuple[float, float, int, int]] = deque()  # arrival s, interval s, bytes, packets
         self._under_way: deque[SentPing] = deque(maxlen=100)  # trains are not: their reports wait for further probes
-        self._round_trips: deque[tuple[float, float]] = deque()  # time of the report s, round trip s
         self._since_ping: tuple[float, float] | None = None  # bytes handed before it, received after it
         self._last_ping: SentPing | None = None
         # Bytes on the way when pings that met no queue arrived, and the rate of arrivals then.
@@ -70,12 +83,7 @@ class QueueGauge:
         self._under_way.append(ping)
 
     def digest(self, report: PeerReport, *, handed_bytes: float | None) -> None:
-        """Note a report.
-
-        Parameters
-        ----------
-        handed_bytes : bytes handed to this host's interface by now, None = unknown
-        """
+        """Note a report, and the bytes handed to this host's interface by now; None = unknown."""
         before_s, now_s = self.reported_s, report.received_at_s
         self.reported_s = now_s
         self._deliveries.append((now_s, report.interval_s, report.rx_bytes, report.rx_packets))
@@ -90,17 +98,19 @@ class QueueGauge:
         if report.delays_s and round_trip_s < math.inf:
             # Round trips use our own clock, so they bound what a step of the peer's clock adds to a delay. The least
             # round trip may include a wait for its report that is `PROMPT_S` longer than this one.
-            most_s = round_trip_s - min(round_trip_s for _, round_trip_s in self._round_trips) + PROMPT_S
+            most_s = round_trip_s - min(self._round_trips.values()) + PROMPT_S
             # The least of a report counts: a late wakeup of the receiver only adds delay.
-            self.delay_s = min(self._above_least(self._delays, now_s, min(report.delays_s)), most_s)
+            self.delay_s = min(self._delays.note(now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
-                self.return_delay_s = min(self._above_least(self._return_delays, now_s, report.return_delay_s), most_s)
-        if handed_bytes is None or self._since_ping is None:
-            return
+                self.return_delay_s = min(self._return_delays.note(now_s, report.return_delay_s), most_s)
         if self._missing and median(self._missing) > _MOST_MISSING:
             self.backlog.clear()  # much of what this host sends goes elsewhere or is lost, so the queue is unknown
-            return
-        outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
+        elif handed_bytes is not None and self._since_ping is not None:
+            outstanding = handed_bytes - self._since_ping[0] - self._since_ping[1]
+            self._note_outstanding(report, outstanding, silent_s=now_s - before_s)
+
+    def _note_outstanding(self, report: PeerReport, outstanding: float, *, silent_s: float) -> None:
+        """Note the bytes that were handed over and have not arrived."""
         rate = report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
         if report.delays_s and self.delay_s < parameters.QUEUE_LOW_S:
             self._in_flight.append((outstanding, max(1.0, rate)))
@@ -110,21 +120,13 @@ class QueueGauge:
             (min(size, max(parameters.BURST_BYTES, size * rate / then)) for size, then in self._in_flight), default=0.0
         )
         # While the report waited on its way back, more was handed over, and as much arrived.
-        late_s = max(0.0, self.return_delay_s or 0.0)
-        backlog = outstanding - max(0.0, on_way) - 1.5 * late_s * rate
+        late = 1.5 * max(0.0, self.return_delay_s or 0.0) * rate
+        backlog, now_s = outstanding - max(0.0, on_way) - late, report.received_at_s
         self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
-        way_s = min((round_trip_s for _, round_trip_s in self._round_trips), default=0.0)
         # What is on a long way looks like what waits, and so do lost bytes; but a ping arrives after what it waits for.
-        has_left = self._last_ping is not None and self._last_ping.sent_s > before_s
-        if report.interval_s < way_s or has_left:
+        has_left = self._last_ping is not None and now_s - self._last_ping.sent_s < silent_s
+        if has_left or report.interval_s < min(self._round_trips.values(), default=0.0):
             self.backlog.busy_rate = None
-
-    def _above_least(self, delays: deque[tuple[float, float]], now_s: float, delay_s: float) -> float:
-        """Note a one-way delay with its unknown offset, and return its excess over the recent least (s)."""
-        delays.append((now_s, delay_s))
-        while now_s - delays[0][0] > parameters.DELAY_WINDOW_S:
-            delays.popleft()
-        return delay_s - min(delay for _, delay in delays)
 
     def _arrived(self, report: PeerReport) -> float:
         """Settle every ping up to the probe of a report, and return the round trip of the last ping (s)."""
@@ -132,42 +134,36 @@ class QueueGauge:
         while self._under_way and self._under_way[0].number <= report.last_probe:
             ping = self._under_way.popleft()
             round_trip_s = now_s - ping.sent_s
-            self._round_trips.append((now_s, round_trip_s))
-            if ping.number == report.last_probe:
-                self._last_ping = ping
-                self._note_missing(ping)
-                # At worst, all bytes of a report that was held arrived after its ping.
-                later = float(report.rx_bytes) if report.interval_s < _HELD_INTERVAL_S else 0.0
-                self._since_ping = None if ping.handed_bytes is None else (ping.handed_bytes, later)
-        while self._round_trips and now_s - self._round_trips[0][0] > parameters.DELAY_WINDOW_S:
-            self._round_trips.popleft()
+            self._round_trips.note(now_s, round_trip_s)
+            if ping.number != report.last_probe:
+                continue
+            self._last_ping = ping
+            if ping.handed_bytes is None:
+                self._since_ping = None
+                continue
+            if self._since_ping is not None:
+                # What left between two pings and did not arrive between them: in a FIFO, that is no queue.
+                handed, received = self._since_ping
+                if (sent := ping.handed_bytes - handed) > parameters.BURST_BYTES:
+                    self._missing.append(1.0 - received / sent)
+            # At worst, all bytes of a report that was held arrived after its ping.
+            later = float(report.rx_bytes) if report.interval_s < _HELD_INTERVAL_S else 0.0
+            self._since_ping = ping.handed_bytes, later
         return round_trip_s
 
-    def _note_missing(self, ping: SentPing) -> None:
-        """Note the part of the bytes between two pings that did not arrive between them: in a FIFO, no queue."""
-        if self._since_ping is None or ping.handed_bytes is None:
-            return
-        handed, received = self._since_ping
-        if (sent := ping.handed_bytes - handed) > parameters.BURST_BYTES:
-            self._missing.append(1.0 - received / sent)
+    def queue_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
+        """Return the queue now: the one that the last ping met, what came since, less what the link carried (s).
 
-    def projected_s(self, now_s: float, *, handed_bytes: float | None, capacity: float) -> float:
-        """Return the queue now: the one that the last ping met, what came since, less what the link carried (s)."""
-        ping = self._last_ping
-        if ping is None or ping.handed_bytes is None or handed_bytes is None:
-            return self.delay_s
-        come_s = max(0.0, handed_bytes - ping.handed_bytes) / capacity
-        return max(0.0, self.delay_s + come_s - (now_s - ping.sent_s))
-
-    def overdue_s(self, now_s: float) -> float:
-        """Return how much longer than usual the oldest unreported ping is on its way; the queue is no shorter (s).
-
-        A queue delays the pings that measure it, so a missing ping is the earliest evidence.
+        A queue delays the pings that measure it, so a missing ping is the earliest evidence: the queue is at least as
+        long as the oldest one is overdue.
         """
-        if not self._under_way or not self._round_trips:
-            return 0.0
-        usual_s = median(round_trip_s for _, round_trip_s in self._round_trips)
-        return max(0.0, now_s - self._under_way[0].sent_s - usual_s)
+        ping, queue_s = self._last_ping, self.delay_s
+        if ping is not None and ping.handed_bytes is not None and handed_bytes is not None:
+            come_s = max(0.0, handed_bytes - ping.handed_bytes) / capacity
+            queue_s = max(0.0, self.delay_s + come_s - (now_s - ping.sent_s))
+        if not self._under_way or not (round_trips_s := self._round_trips.values()):
+            return queue_s
+        return max(queue_s, now_s - self._under_way[0].sent_s - median(round_trips_s))
 
     def delivery(self, since_s: float) -> tuple[float, float]:
         """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""
@@ -194,7 +190,7 @@ class PeerGauges:
             for name, gauge in self._gauges.items()
             if report.received_at_s - gauge.reported_s <= parameters.OUTAGE_FORGET_S or name == report.peer
         }
-        gauge = self._gauges.get(report.peer) or self._gauges.setdefault(report.peer, QueueGauge())
+        gauge = self._gauges.setdefault(report.peer, QueueGauge())
         # With several peers, bytes that one did not receive may be another's.
         gauge.digest(report, handed_bytes=handed_bytes if len(self._gauges) == 1 else None)
         return gauge
@@ -218,36 +214,27 @@ class PeerGauges:
         While another peer reports, one that is silent is gone, and no queue holds its pings.
         """
         newest_s = max((gauge.reported_s for gauge in self._gauges.values()), default=-math.inf)
-        return max(
-            (
-                max(gauge.projected_s(now_s, handed_bytes=handed_bytes, capacity=capacity), gauge.overdue_s(now_s))
-                for gauge in self._gauges.values()
-                if newest_s - gauge.reported_s <= parameters.OUTAGE_S
-            ),
-            default=0.0,
-        )
+        heard = (each for each in self._gauges.values() if newest_s - each.reported_s <= parameters.OUTAGE_S)
+        return max((each.queue_s(now_s, handed_bytes=handed_bytes, capacity=capacity) for each in heard), default=0.0)
 
     @property
     def busy_rate(self) -> float | None:
         """Capacity over the last report of the only peer, None where the link may have idled (bytes/s)."""
-        gauges = tuple(self._gauges.values())
-        return gauges[0].backlog.busy_rate if len(gauges) == 1 else None
+        return next(iter(self._gauges.values())).backlog.busy_rate if len(self) == 1 else None
 
     def backlog_s(self, now_s: float, *, burst_bytes: float, capacity: float) -> float:
         """Return how long the missing bytes of the longest queue will take to arrive (s)."""
-        each = (
-            gauge.backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity) for gauge in self._gauges.values()
-        )
-        return max(each, default=0.0)
+        backlogs = (gauge.backlog for gauge in self._gauges.values())
+        return max((each.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity) for each in backlogs), default=0.0)
 
-    def delivery(self, since_s: float) -> tuple[float, float]:
+    def delivery(self, since_s: float = -math.inf) -> tuple[float, float]:
         """Return what all peers received in the last intervals that began since then (bytes/s, packets/s)."""
         each = [gauge.delivery(since_s) for gauge in self._gauges.values()]
         return sum(size for size, _ in each), sum(packets for _, packets in each)
 
     def overhead_of(self, rate: float, packet_overhead_s: float) -> float:
         """Return the part of the time that packets of the recent size cost beyond their bytes at a rate (bytes/s)."""
-        received, packet_rate = self.delivery(-math.inf)
+        received, packet_rate = self.delivery()
         return rate * packet_rate / received * packet_overhead_s if received > 0 else 0.0
 
     @property

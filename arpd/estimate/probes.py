@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _QUIET_PINGS = 1.2  # periods of the pings; a peer that receives a ping in time sends nothing in between
-
-
 SHARE = 0.008  # part of the capacity for probes and the reports they cause
 SHORT_SHARE = 0.015  # the same while topics ask for more than the link is believed to carry
 PINGS_SHARE = 0.0035  # part of it for pings and their reports alone
@@ -28,9 +26,8 @@ TRAIN_S, TRAIN_LEAST_PACKETS, TRAIN_MOST_PACKETS = 0.005, 4, 24  # length of a t
 SMALL_PACKETS, SMALL_PACKET_BYTES = 16, 16  # number and payload of the packets of a train of small ones
 # One in so many large trains is followed by one of small packets, after this time.
 SMALL_EVERY, PAIR_S = 10, 0.15
-# Least time between trains: before any measurement, in general, while the capacity is doubtful, and after a train that
-# contradicts it.
-FIRST_S, CALM_S, URGENT_S, CONFIRM_S = 0.25, 2.5, 0.5, 0.08
+# Least time between trains: before any measurement, in general, and while the capacity is doubtful.
+FIRST_S, CALM_S, URGENT_S = 0.25, 2.5, 0.5
 SHORT_S, SHORT_TRAIN_S = 1.0, 0.02  # the same while more is asked, where a train takes no longer than the second
 RESTING_TRAIN_S = 60.0  # time between trains then
 TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
@@ -40,90 +37,81 @@ SAVED_S = 5.0  # span of the budget that can be saved
 class ProbeSchedule:
     """Schedules pings for the queue and trains for the capacity; a token bucket of link bytes pays for trains.
 
-    Calm trains spend a part of the budget. The rest is saved for the seconds after a fall or a surprise, when several
-    trains are worth most.
+    Calm trains spend a part of the budget. The rest is saved for the seconds after a fall, when several trains are
+    worth most.
+
+    Attributes
+    ----------
+    quiet_s : most time between two reports that a probe asks for (s)
     """
 
     def __init__(self) -> None:
-        self._last_s = -math.inf
+        self._last_s = self._ping_at_s = self._train_at_s = -math.inf
         self._saved_bytes = 0.0
-        self._ping_at_s = -math.inf
-        self._train_at_s = -math.inf
         self._small_at_s = math.inf
-        self._trains = 0
-        self._is_confirming = False
-        self._probes = 0
+        self._trains = self._probes = 0
         self.quiet_s = 0.0
 
     def wanted(
         self,
         now_s: float,
         *,
-        capacity_bytes_per_second: float,
+        capacity: float,
         is_measured: bool,
         is_out: bool,
         is_free: bool,
         is_urgent: bool,
-        surprise_bytes_per_second: float | None,
         needs_pair: bool,
         copies: int,
         is_short: bool,
         is_resting: bool = False,
-        is_settled: bool = True,
     ) -> Iterator[ProbeRequest]:
         """Yield the probes to send now.
 
         Parameters
         ----------
-        capacity_bytes_per_second : capacity that is believed
+        capacity : the one that is believed (bytes/s)
         is_measured : True when it was measured
         is_out, is_free : True while the link is out; True while no queue stands, which a train would only lengthen
         is_urgent : True while the capacity is likely to be wrong
-        surprise_bytes_per_second : what the last train saw, if that contradicts the capacity
         needs_pair : True while the overhead of a packet is unknown
         copies : times that each probe crosses the link, once per peer
         is_short : True while topics ask for more than the link is believed to carry
         is_resting : True while next to nothing crosses; nobody needs the capacity soon then
-        is_settled : True when enough trains have shown it
         """
         elapsed_s, self._last_s = min(1.0, now_s - self._last_s), now_s
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
-        ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity_bytes_per_second)))
-        if is_resting:
-            ping_s = max(ping_s, RESTING_PING_S)
+        ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity)))
+        ping_s = max(ping_s, RESTING_PING_S) if is_resting else ping_s
         self.quiet_s = _QUIET_PINGS * ping_s
-        is_surprised = surprise_bytes_per_second is not None
-        # A train that confirms another one is long enough for the capacity that one saw.
-        expected = max(capacity_bytes_per_second, surprise_bytes_per_second or 0.0)
-        packets = math.ceil(TRAIN_S * expected / PACKET_BYTES)
-        packets = max(TRAIN_LEAST_PACKETS, min(TRAIN_MOST_PACKETS, packets))
+        packets = max(TRAIN_LEAST_PACKETS, min(TRAIN_MOST_PACKETS, math.ceil(TRAIN_S * capacity / PACKET_BYTES)))
         cost = copies * packets * probe_wire_bytes(PACKET_BYTES)
-        is_short = is_short and cost <= SHORT_TRAIN_S * capacity_bytes_per_second
-        share = max(0.1 * SHARE, SHARE - ping_bytes / ping_s / capacity_bytes_per_second)
-        budget = share * capacity_bytes_per_second
-        more = (SHORT_SHARE - SHARE) * capacity_bytes_per_second if is_short else 0.0
+        is_short = is_short and cost <= SHORT_TRAIN_S * capacity
+        budget = max(0.1 * SHARE * capacity, SHARE * capacity - ping_bytes / ping_s)
         # Savings of a better link stay: right after a fall they pay for the trains that see the link return.
         room = max(2.0 * cost, SAVED_S * budget, self._saved_bytes)
+        more = (SHORT_SHARE - SHARE) * capacity if is_short else 0.0
         self._saved_bytes = min(self._saved_bytes + (budget + more) * elapsed_s, room)
         if now_s >= self._ping_at_s:
             self._ping_at_s = now_s + (OUTAGE_PING_S if is_out else ping_s)
             yield self._request(1, OUTAGE_PING_BYTES if is_out else PING_BYTES)
         if is_out or not is_free:
             return
+        can_pay = self._saved_bytes >= cost
+        if not is_measured:
+            pause_s = FIRST_S
+        elif is_urgent and can_pay:
+            pause_s = URGENT_S
+        elif is_resting or not can_pay:
+            pause_s = RESTING_TRAIN_S if is_resting else TRAIN_MOST_S
+        else:
+            pause_s = SHORT_S if is_short else CALM_S
         if now_s >= self._small_at_s:
             self._small_at_s = math.inf
             self._spend(copies * SMALL_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
             yield self._request(SMALL_PACKETS, SMALL_PACKET_BYTES)
-        elif now_s - self._train_at_s >= self._pause_s(
-            cost,
-            is_measured=is_measured,
-            is_urgent=is_urgent,
-            is_surprised=is_surprised,
-            is_short=is_short,
-            is_resting=is_resting and is_settled,
-        ):
+        elif now_s - self._train_at_s >= pause_s:
             self._train_at_s = now_s
-            self._is_confirming = is_surprised  # the first confirmation is on credit
             self._spend(cost, is_measured=is_measured)
             self._trains += 1
             if needs_pair or self._trains % SMALL_EVERY == 0:
@@ -133,30 +121,6 @@ class ProbeSchedule:
     def _spend(self, cost: float, *, is_measured: bool) -> None:
         # The first trains may exceed the budget, and this debt is not paid back.
         self._saved_bytes = self._saved_bytes - cost if is_measured else max(0.0, self._saved_bytes - cost)
-
-    def _pause_s(
-        self,
-        cost: float,
-        *,
-        is_measured: bool,
-        is_urgent: bool,
-        is_surprised: bool,
-        is_short: bool,
-        is_resting: bool,
-    ) -> float:
-        """Return the least time between two trains (s)."""
-        if not is_measured:
-            return FIRST_S
-        can_pay = self._saved_bytes >= cost
-        if is_surprised and (can_pay or not self._is_confirming):
-            return CONFIRM_S
-        if is_urgent and can_pay:
-            return URGENT_S
-        if is_resting:
-            return RESTING_TRAIN_S
-        if can_pay:
-            return SHORT_S if is_short else CALM_S
-        return TRAIN_MOST_S
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:
         self._probes += 1

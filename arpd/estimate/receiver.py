@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 from arpd.model.probing import Train
 from arpd.model.wire import probe_wire_bytes
@@ -23,7 +24,6 @@ _RELEASED = 2.0  # times its time to arrive: no link and no sender is so uneven
 _LEAST_DISPERSION_S = 0.5e-3  # less is the jitter of time stamps
 
 
-@dataclass(slots=True)
 class ReportSchedule:
     """Schedule of the reports.
 
@@ -34,33 +34,27 @@ class ReportSchedule:
     sent_at_s : departure of the last report, or start of the schedule (s)
     """
 
-    sent_at_s: float
-    _quiet_s: float = QUIET_S
-    _wait_s: float = QUIET_S
-    _late_s: float = BUSY_S  # after a report, when the next ping is late
+    def __init__(self, sent_at_s: float) -> None:
+        self.sent_at_s = sent_at_s
+        self._quiet_s = self._wait_s = QUIET_S
+        self._late_s = BUSY_S  # after a report, when the next ping is late
 
     @property
     def due_s(self) -> float:
         """Time of the next report, as far as is known now (s)."""
         return self.sent_at_s + self._wait_s
 
-    def note_probe(self, *, packets: int, quiet_s: float) -> None:
-        """Note that a packet of a probe arrived.
-
-        Parameters
-        ----------
-        packets : of its train; 1 is a ping
-        quiet_s : most time between two reports that the daemon asks for; longer on a slow link (s)
-        """
-        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
-        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
-        # A ping's delay is the first sign of a queue, so its report does not wait for further probes.
-        self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
-
     @property
     def look_s(self) -> float:
         """Time to read the interface and call `note_traffic` (s)."""
         return self.sent_at_s + self._late_s
+
+    def note_probe(self, *, packets: int, quiet_s: float) -> None:
+        """Note that a packet of a probe arrived: of a train, or a ping; and how rare the daemon wants reports (s)."""
+        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
+        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
+        # A ping's delay is the first sign of a queue, so its report does not wait for further probes.
+        self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
 
     def note_traffic(self, size_bytes: float) -> None:
         """Note what the interface received since the last report: while a queue stands, pings are late."""
@@ -72,15 +66,8 @@ class ReportSchedule:
         self.sent_at_s, self._wait_s = now_s, self._quiet_s
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Arrival:
-    """Arrival of one packet of a train.
-
-    Parameters
-    ----------
-    wire_bytes : its size on the link (bytes)
-    sent_ns, received_ns : time stamps of its MessageInfo, from two different clocks (ns)
-    """
+class Arrival(NamedTuple):
+    """Arrival of one packet of a train: its size on the link, and time stamps of two different clocks (ns)."""
 
     wire_bytes: int
     sent_ns: int
@@ -194,9 +181,7 @@ class Receiver:
             self._number, self._packets = train, packets
         if len(self._arrivals) >= self._packets:
             return  # the train is closed, or a sender repeats packets
-        self._arrivals.append(
-            Arrival(wire_bytes=probe_wire_bytes(payload_bytes), sent_ns=sent_ns, received_ns=received_ns)
-        )
+        self._arrivals.append(Arrival(probe_wire_bytes(payload_bytes), sent_ns, received_ns))
         if index == packets - 1:
             self._close()
 

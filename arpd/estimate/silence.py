@@ -38,20 +38,20 @@ class Silence:
 
     def note(self, now_s: float, counters: LinkCounters | None, *, is_usual: bool) -> None:
         """Note the counters of the interface; ``is_usual`` is True while a peer is heard."""
-        if counters is None or not counters.is_up:
-            self._looks.clear()
-            self._unheard_s = self._quiet = None
-            return
         self._was_heard |= is_usual
-        if is_usual or not self._was_heard:
+        is_up = counters is not None and counters.is_up
+        if is_usual or not is_up or not self._was_heard:
             self._unheard_s = self._quiet = None
-        elif self._unheard_s is None:
-            self._unheard_s = now_s
-        elif self._quiet is None and now_s - self._unheard_s >= _UNDER_WAY_S:
-            self._quiet = now_s, counters
+        if counters is None or not is_up:
+            self._looks.clear()
+            return
+        if not is_usual and self._was_heard:
+            self._unheard_s = now_s if self._unheard_s is None else self._unheard_s
+            if self._quiet is None and now_s - self._unheard_s >= _UNDER_WAY_S:
+                self._quiet = now_s, counters
         if is_usual and self._looks and (elapsed_s := now_s - self._looks[-1][0]) > 0:
             rate_hz = (counters.rx_packets - self._looks[-1][1].rx_packets) / elapsed_s
-            self._usual_hz += (1.0 - math.exp(-elapsed_s / _USUAL_S)) * (rate_hz - self._usual_hz)
+            self._usual_hz -= math.expm1(-elapsed_s / _USUAL_S) * (rate_hz - self._usual_hz)
         self._looks.append((now_s, counters))
         while len(self._looks) > 1 and now_s - self._looks[1][0] >= _TRICKLE_S:
             self._looks.popleft()
@@ -59,40 +59,26 @@ class Silence:
     @property
     def is_answered(self) -> bool:
         """True when about as many packets as usual arrived lately."""
-        if not self._looks:
+        if not self._looks or self._usual_hz < _LEAST_HZ:
             return False
         now_s, now = self._looks[-1]
         since_s, before = next((each for each in reversed(self._looks) if now_s - each[0] >= _LATELY_S), self._looks[0])
-        if now_s - since_s < 0.5 * _LATELY_S:
-            return False
-        lately_hz = (now.rx_packets - before.rx_packets) / (now_s - since_s)
-        return self._usual_hz >= _LEAST_HZ and lately_hz >= _PART * self._usual_hz
+        span_s = now_s - since_s
+        return span_s >= 0.5 * _LATELY_S and now.rx_packets - before.rx_packets >= _PART * self._usual_hz * span_s
 
     @property
     def is_cut(self) -> bool:
         """True while next to nothing passes in one direction: there is no link, or nobody behind it."""
-        return self.has_received_nothing or self._has_sent_nothing
-
-    @property
-    def has_received_nothing(self) -> bool:
-        """True when next to nothing has arrived since a peer was heard."""
         if self._quiet is None:
             return False
-        (since_s, before), (now_s, now) = self._quiet, self._looks[-1]
-        span_s = now_s - since_s
-        return span_s >= _LONG_S and now.rx_packets - before.rx_packets < _BROADCAST_HZ * span_s
-
-    @property
-    def _has_sent_nothing(self) -> bool:
-        """True when next to nothing leaves although more waits: a trickle is no capacity."""
-        if self._quiet is None:
-            return False
-        looks = [each for each in self._looks if each[0] >= self._quiet[0]]
-        (since_s, before), (now_s, now) = looks[0], looks[-1]
-        span_s = now_s - since_s
+        (since_s, quiet), (now_s, now) = self._quiet, self._looks[-1]
+        if now_s - since_s >= _LONG_S and now.rx_packets - quiet.rx_packets < _BROADCAST_HZ * (now_s - since_s):
+            return True
+        # Next to nothing leaves although more waits: a trickle is no capacity.
+        looks = [each for each in self._looks if each[0] >= since_s]
+        since_s, before = looks[0]
         # A few drops are a bad moment of an idle link, so drops must outnumber departures.
         is_refused = now.tx_dropped - before.tx_dropped > now.tx_packets - before.tx_packets
         wants_more = is_refused or all(counters.backlog_bytes for _, counters in looks)
-        return (
-            span_s >= _TRICKLE_S and wants_more and now.tx_bytes - before.tx_bytes < _TRICKLE_BYTES_PER_SECOND * span_s
-        )
+        is_trickle = now.tx_bytes - before.tx_bytes < _TRICKLE_BYTES_PER_SECOND * (now_s - since_s)
+        return now_s - since_s >= _TRICKLE_S and wants_more and is_trickle

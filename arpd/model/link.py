@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 # A flow that adapts, as TCP does, takes all that arpd leaves it: yielding everything would push the robot down to its
 # floors step by step. Half is what two equal flows would share.
@@ -54,7 +49,6 @@ class LinkEstimate:
     loss_ratio : share of recent probe packets that never arrived, None while too few were sent to tell
     return_delay_s : one-way delay of the peer's reports above its recent minimum; commands to the robot wait as long.
         None without a peer (s)
-    events_by_kind : number of changes of the capacity of each kind, and of outages, since the start
     """
 
     capacity_bytes_per_second: float
@@ -71,7 +65,6 @@ class LinkEstimate:
     loss_ratio: float | None = None
     return_delay_s: float | None = None
     is_resting: bool = False
-    events_by_kind: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def available_bytes_per_second(self) -> float:
@@ -84,14 +77,3 @@ class LinkEstimate:
         """Packet overhead on a link that has only the available capacity (s)."""
         available = self.available_bytes_per_second
         return self.packet_overhead_s * self.capacity_bytes_per_second / available if available > 0 else 0.0
-
-
-class EstimatorEvent(StrEnum):
-    """Change of the capacity that is stated, or an outage (docs/design.md, The estimator)."""
-
-    FIRST = "first"  # the first trains replace the configured capacity
-    DOWN = "down"  # evidence of less
-    UP = "up"  # evidence of more
-    RESUME = "resume"  # reports return after an outage
-    OUTAGE = "outage"  # reports stopped
-    LOCAL = "local"  # no peer: the queue of this host's interface shows it

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import struct
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from arpd.model.endpoints import FlowState
+    from arpd.sim.timeline import Timeline
+
+SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,40 +80,49 @@ def percentile(values: Sequence[float], q: float) -> float | None:
     return ordered[rank - 1]
 
 
-@dataclass(slots=True)
 class Arrivals:
-    """Counts of one reader; sequence numbers count the samples that the application published."""
+    """Counts of one reader, a `Sink`; sequence numbers count the samples that the application published.
 
-    latencies_s: list[float] = field(default_factory=list)
-    ages_s: list[float] = field(default_factory=list)
-    sequences: set[int] = field(default_factory=set)
-    doubled: int = 0
-    reordered: int = 0
-    delivered_bytes: int = 0
-    newest_sequence: int = -1
-    newest_stamp_s: float = 0.0
+    Parameters
+    ----------
+    payload_bytes : of each sample, which begins with `SAMPLE` (bytes)
+    """
 
-    def on_arrival(self, sequence: int, latency_s: float) -> None:
+    def __init__(self, timeline: Timeline, payload_bytes: int) -> None:
+        self._timeline, self._payload_bytes = timeline, payload_bytes
+        self._latencies_s: list[float] = []
+        self._ages_s: list[float] = []
+        self.sequences: set[int] = set()
+        self.doubled = self.reordered = 0
+        self._newest: tuple[int, float] | None = None  # sequence, stamp s
+
+    @property
+    def delivered_bytes(self) -> int:
+        """Payload of the samples that were received."""
+        return len(self.sequences) * self._payload_bytes
+
+    def on_arrival(self, sample: bytes) -> None:
         """Note the latency of a sample on the wire; the middleware may hold it back until older ones arrive."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
         if sequence not in self.sequences:
-            self.latencies_s.append(latency_s)
+            self._latencies_s.append(self._timeline.now_s - stamp_s)
 
-    def on_delivery(self, sequence: int, stamp_s: float, size_bytes: int) -> None:
+    def on_delivery(self, sample: bytes) -> None:
         """Count a sample that the reader receives."""
+        sequence, stamp_s = SAMPLE.unpack_from(sample)
         if sequence in self.sequences:
             self.doubled += 1
             return
         self.sequences.add(sequence)
-        self.delivered_bytes += size_bytes
-        if sequence < self.newest_sequence:
+        if self._newest is not None and sequence < self._newest[0]:
             self.reordered += 1
         else:
-            self.newest_sequence, self.newest_stamp_s = sequence, stamp_s
+            self._newest = sequence, stamp_s
 
-    def on_age(self, now_s: float) -> None:
-        """Note the age of the newest sample."""
-        if self.newest_sequence >= 0:
-            self.ages_s.append(now_s - self.newest_stamp_s)
+    def note_age(self) -> None:
+        """Note the age of the newest sample now."""
+        if self._newest is not None:
+            self._ages_s.append(self._timeline.now_s - self._newest[1])
 
     def result(self, flow: FlowState, *, topic: str, source_rate_hz: float, expected: int) -> TopicResult:
         """Return the result of a run.
@@ -130,9 +143,9 @@ class Arrivals:
             doubled=self.doubled,
             reordered=self.reordered,
             delivered_bytes=self.delivered_bytes,
-            latency_p50_s=percentile(self.latencies_s, 0.5),
-            latency_p99_s=percentile(self.latencies_s, 0.99),
-            latency_max_s=max(self.latencies_s, default=None),
-            age_p50_s=percentile(self.ages_s, 0.5),
-            age_p99_s=percentile(self.ages_s, 0.99),
+            latency_p50_s=percentile(self._latencies_s, 0.5),
+            latency_p99_s=percentile(self._latencies_s, 0.99),
+            latency_max_s=max(self._latencies_s, default=None),
+            age_p50_s=percentile(self._ages_s, 0.5),
+            age_p99_s=percentile(self._ages_s, 0.99),
         )

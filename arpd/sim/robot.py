@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.queue import PacedQueue
 from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
-from arpd.sim.result import Arrivals
+from arpd.sim.result import SAMPLE, Arrivals
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
-from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
+from arpd.sim.writer import SimulatedWriter
 from arpd.solve.topics import assumed_traffic
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.endpoint.lane import Lane
+    from arpd.model.endpoints import FlowState
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
@@ -49,26 +50,6 @@ class SimTopic:
     direction: Direction = Direction.SENSING
     prefix: str = ""
 
-    def announced(self, *, node: str, name: str, depth: int) -> PublisherState:
-        """Return what a publisher of the topic announces before its first sample.
-
-        Parameters
-        ----------
-        node, name : of the publisher; its name on the link
-        depth : its own (samples)
-        """
-        return PublisherState(
-            node=node,
-            topic=name,
-            type_name="sim",
-            direction=self.direction,
-            payload_bytes=0.0,
-            source_rate_hz=0.0,
-            depth=depth,
-            baseline_depth=depth,
-            remote_readers=int(self.direction is not Direction.LOCAL),
-        )
-
 
 def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:
     """Return the topics whose traffic a configuration describes.
@@ -96,9 +77,9 @@ def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tupl
 class SimulatedThread:
     """The thread of a participant, with its paced queue."""
 
-    def __init__(self, timeline: Timeline) -> None:
-        self._timeline = timeline
-        self._queue = PacedQueue()
+    def __init__(self, timeline: Timeline, queue: PacedQueue | None = None) -> None:
+        self.timeline = timeline
+        self._queue = PacedQueue() if queue is None else queue
         self._alarm = Alarm(timeline, self.run)
 
     def add(self, lane: Lane) -> None:
@@ -107,7 +88,7 @@ class SimulatedThread:
 
     def offer(self, lane: Lane, sample: bytes) -> None:
         """Let a sample wait for its turn, which may be now."""
-        self._queue.offer(lane, sample, self._timeline.now_s)
+        self._queue.offer(lane, sample, self.timeline.now_s)
         self.run()
 
     def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
@@ -117,28 +98,73 @@ class SimulatedThread:
 
     def run(self) -> None:
         """Write what may leave."""
-        now_s = self._timeline.now_s
+        now_s = self.timeline.now_s
         while (ready := self._queue.take(now_s)) is not None:
             ready.lane.write(ready.sample)
-        if (due_s := self._queue.due_s(now_s)) < self._alarm.when_s:
+        self._wake_by(self._queue.due_s(now_s))
+
+    def _wake_by(self, due_s: float) -> None:
+        if due_s < self._alarm.when_s:
             self._alarm.set(due_s)
 
 
-class SimulatedPublisher:
+class SimulatedSource:
+    """What the application publishes on one topic, and what arrives of it.
+
+    Parameters
+    ----------
+    topic : the topic
+    node, name : of its publisher; its name on the link
+    ingress_s : age of a sample when it gets to the publisher, after the hop to the relay (s)
+
+    Attributes
+    ----------
+    swaps : writer swaps begun since the start
+    """
+
+    def __init__(self, timeline: Timeline, topic: SimTopic, *, node: str, name: str, ingress_s: float) -> None:
+        self.timeline, self.topic, self._ingress_s = timeline, topic, ingress_s
+        self.arrivals = Arrivals(timeline, topic.payload_bytes)
+        self.swaps = 0
+        self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
+        self._announced = PublisherState(
+            node=node,
+            topic=name,
+            type_name="sim",
+            direction=topic.direction,
+            payload_bytes=0.0,
+            source_rate_hz=0.0,
+            depth=RCLPY_DEPTH,
+            baseline_depth=RCLPY_DEPTH,
+            remote_readers=int(topic.direction is not Direction.LOCAL),
+        )
+
+    def sample(self, number: int) -> bytes:
+        """Return a sample that is published now."""
+        return SAMPLE.pack(number, self.timeline.now_s - self._ingress_s) + self._padding
+
+    def told(self, flow: FlowState, generation: int) -> PublisherState:
+        """Return the state to announce."""
+        return replace(self._announced, generation=generation, **flow.counted())
+
+    def counted(self, flow: FlowState, expected: int) -> TopicResult:
+        """Return the result of the run."""
+        topic = self.topic
+        return self.arrivals.result(flow, topic=topic.name, source_rate_hz=topic.rate_hz, expected=expected)
+
+
+class SimulatedPublisher(SimulatedSource):
     """An AdaptivePublisher over a simulated writer, with the same queue and writer swap.
 
     Before the first `retune` it behaves as a plain rclpy publisher.
 
     Parameters
     ----------
-    topic : the topic
     there, back : ways of its samples, and of their acknowledgements
     room_bytes : most that its socket has in the queue of the interface (bytes)
-    name : topic name on the link
-    node : name of its node
     heartbeat_s : heartbeat period of its writers (s)
-    ingress_s : age of a sample when it gets here, after the hop to the relay (s)
     thread : of its participant
+    name, node, ingress_s : as of `SimulatedSource`
     """
 
     def __init__(
@@ -149,22 +175,17 @@ class SimulatedPublisher:
         there: Carrier,
         back: Carrier,
         room_bytes: float,
+        heartbeat_s: float,
+        thread: SimulatedThread,
         name: str,
         node: str,
-        heartbeat_s: float,
         ingress_s: float = 0.0,
-        thread: SimulatedThread,
     ) -> None:
-        self.topic = topic
-        self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
-        self.arrivals = Arrivals()
-        self._writers = 0
-        self._timeline = timeline
+        super().__init__(timeline, topic, node=node, name=name, ingress_s=ingress_s)
+        self.swaps = -1  # the first writer is none
         self._socket = Socket(timeline, there, room_bytes=room_bytes, on_free=self._free)
         self._is_relayed = ingress_s > 0.0
         self._ticks = 0  # of the application's timer
-        self._node = node
-        self._ingress_s = ingress_s
         self._flow = Flow(
             create=partial(self._create, back, heartbeat_s),
             qos=WriterQos(depth=RCLPY_DEPTH, deadline_ns=0),
@@ -177,16 +198,13 @@ class SimulatedPublisher:
         self._price: Price | None = None
         thread.add(self._flow.lane)
         self._alarm = Alarm(timeline, self._service)
-        self._state = topic.announced(node=node, name=name, depth=RCLPY_DEPTH)
 
     def publish(self) -> None:
         """Publish the next sample of the source, unless it is still inside the call before."""
         self._ticks += 1
         if self._socket.is_full and not self._is_relayed:
             return
-        number = self._flow.lane.offered_rate.samples
-        token = SAMPLE.pack(number, self._timeline.now_s - self._ingress_s)
-        self._thread.offer(self._flow.lane, token + self._padding)
+        self._thread.offer(self._flow.lane, self.sample(self._flow.lane.offered_rate.samples))
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan: pacing changes now, depth and deadline with a writer swap."""
@@ -200,21 +218,13 @@ class SimulatedPublisher:
         self._flow.set_loss(None if price is None else price.loss_ratio)
         self._thread.retune(self._flow.lane, self._flow.plan, price)
 
-    @property
-    def swaps(self) -> int:
-        """Writer swaps begun since the start."""
-        return self._writers - 1
-
     def state(self, *, generation: int) -> PublisherState:
         """Return the state to announce."""
-        return replace(self._state, generation=generation, **self._flow.state().counted())
+        return self.told(self._flow.state(), generation)
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
-        topic = self.topic
-        return self.arrivals.result(
-            self._flow.state(), topic=topic.name, source_rate_hz=topic.rate_hz, expected=self._ticks
-        )
+        return self.counted(self._flow.state(), self._ticks)
 
     def _write(self, sample: bytes) -> None:
         self._flow.write(sample)
@@ -227,14 +237,13 @@ class SimulatedPublisher:
         self._thread.run()
 
     def _create(self, back: Carrier, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
-        self._writers += 1
-        sink = Counting(self.arrivals, self._timeline, self.topic.payload_bytes)
-        return SimulatedWriter(self._socket, back, sink, qos=qos, heartbeat_s=heartbeat_s)
+        self.swaps += 1
+        return SimulatedWriter(self._socket, back, self.arrivals, qos=qos, heartbeat_s=heartbeat_s)
 
     def _service(self) -> None:
         if self._socket.is_full:
             return
-        due_s = self._flow.service(self._timeline.now_s)
+        due_s = self._flow.service(self.timeline.now_s)
         if due_s < self._alarm.when_s:
             self._alarm.set(due_s)
 

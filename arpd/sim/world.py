@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -41,7 +41,7 @@ _PEER = "base"
 _ON_HOST_S = 0.001
 _TELL_S = 1.0
 _SILENT_S = 5.0  # as in arpd.endpoint.node_publishers
-_AGAIN_S = (1.5, 12.0)  # first and longest: nothing here repeats what is lost, as DDS does
+_AGAIN_S = 1.5  # nothing here repeats what is lost, as DDS does
 _PEER_CLOCK_S = 3.217  # the base computer's clock is ahead by this, because nothing may depend on equal clocks
 _STAMP_JITTER_S = 0.0002  # mean lateness of a receive time stamp
 _PROBE_SPACING_S = 0.0001  # between the packets of a train; Python publishes no faster
@@ -52,26 +52,14 @@ _REPORT_BYTES, _PRICE_BYTES, _SNAPSHOT_BYTES, _PLAN_BYTES = 230, 210, 500, 700  
 class _Node:
     """One node with adaptive publishers, and what the daemon has asked of it."""
 
-    name: str
     publishers: list[Managed]
     is_remote: bool
     generation: int = 0
     lease_s: float = 0.0
     price: Price | None = None
-    price_at_s: float = -1e9
+    price_at_s: float = -math.inf
     announced: tuple[PublisherState, ...] = ()
-    announced_at_s: float = -1e9
-
-
-@dataclass(slots=True)
-class _Peer:
-    """The receiver on the base computer."""
-
-    schedule: ReportSchedule
-    receiver: Receiver = field(default_factory=Receiver)
-    rx_bytes: int = 0
-    rx_packets: int = 0
-    stamp_s: float = -math.inf
+    announced_at_s: float = -math.inf
 
 
 class SimulatedWorld:
@@ -87,6 +75,10 @@ class SimulatedWorld:
     into_peer : other traffic that the peer's interface receives
     has_peer : whether a peer receives probes and sends reports
     end : the robot's end of a relay with two; then nothing that stays on its host is managed
+
+    Attributes
+    ----------
+    report_bytes : wire bytes of all reports sent
     """
 
     def __init__(
@@ -103,40 +95,38 @@ class SimulatedWorld:
         has_peer: bool = True,
         end: SimulatedEnd | None = None,
     ) -> None:
+        self._timeline, self._random, self._graph = timeline, random, graph
+        self._up, self._down, self._into_peer, self._has_peer = up, down, into_peer, has_peer
         self._end = end
         self._relay: RelaySummary | None = None
-        self._timeline = timeline
-        self._up, self._down = up, down
-        self._graph = graph
         self._on_report_arrived = on_report
-        self._into_peer = into_peer
-        self._has_peer = has_peer
-        self._random = random
         self._reports: list[PeerReport] = []
         self._reported_s = -math.inf  # when the peer was heard last
         self._results: Counter[str] = Counter()
-        self._asked_generation, self._asked_at_s, self._again_s = -1, -math.inf, _AGAIN_S[0]
-        self._probes = 0
-        self._probe_bytes = 0
-        self._peer = _Peer(schedule=ReportSchedule(self._timeline.now_s + self._random.random()))
-        self._report_bytes = 0
-        by_direction = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
+        self._asked_generation, self._asked_at_s = -1, -math.inf
+        self._probes = self._probe_bytes = self.report_bytes = 0
+        # The receiver on the base computer.
+        self._receiver, self._schedule = Receiver(), ReportSchedule(self._soon_s())
+        self._received = 0, 0  # bytes and packets by its last report
+        self._stamp_s = -math.inf
+        of = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         if end is not None:
-            by_direction[Direction.LOCAL] = []
-            timeline.every(_TELL_S, self._summarise, first_s=timeline.now_s + self._random.random())
-        self._nodes = {
-            RELAY: _Node(
-                name=RELAY, publishers=by_direction[Direction.SENSING] + by_direction[Direction.LOCAL], is_remote=False
-            ),
-            PLANNER: _Node(name=PLANNER, publishers=by_direction[Direction.ACTUATION], is_remote=True),
-        }
-        self._counts = {direction: len(publishers) for direction, publishers in by_direction.items()}
-        for node in self._nodes.values():
-            first_s = self._timeline.now_s + self._random.random()
-            self._timeline.every(_TELL_S, partial(self._tell, node), first_s=first_s)
-        self._report_alarm = Alarm(self._timeline, self._look)
+            of[Direction.LOCAL] = []
+            timeline.every(_TELL_S, self._summarise, first_s=self._soon_s())
+        self._nodes = (
+            _Node(of[Direction.SENSING] + of[Direction.LOCAL], is_remote=False),
+            _Node(of[Direction.ACTUATION], is_remote=True),
+        )
+        self._counts = {direction: len(publishers) for direction, publishers in of.items()}
+        for node in self._nodes:
+            timeline.every(_TELL_S, partial(self._tell, node), first_s=self._soon_s())
+        self._report_alarm = Alarm(timeline, self._look)
         if has_peer:
-            self._report_alarm.set(self._peer.schedule.due_s)
+            self._report_alarm.set(self._schedule.due_s)
+
+    def _soon_s(self) -> float:
+        """Return a moment in the next second."""
+        return self._timeline.now_s + self._random.random()
 
     # -- observe
 
@@ -149,10 +139,7 @@ class SimulatedWorld:
             counters=self._counters(),
             reports=reports,
             publishers=tuple(
-                state
-                for node in self._nodes.values()
-                if now_s - node.announced_at_s <= SILENT_S
-                for state in node.announced
+                state for node in self._nodes if now_s - node.announced_at_s <= SILENT_S for state in node.announced
             ),
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=2 * 2**30),
             sensing_topics=self._counts[Direction.SENSING] if pinned.sensing_topics is None else pinned.sensing_topics,
@@ -181,17 +168,16 @@ class SimulatedWorld:
 
     def set_price(self, price: Price) -> None:
         """Send the price to every publisher; best effort, as on the real topic."""
-        for node in self._nodes.values():
+        for node in self._nodes:
             self._reach(node, _PRICE_BYTES, partial(self._on_price, node, price))
 
     def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
-        """Send a new plan at once, and an unconfirmed one again after a growing time."""
+        """Send a new plan at once, and an unconfirmed one again after a while."""
         is_newer = plan.generation > self._asked_generation
-        if not missing or (not is_newer and now_s - self._asked_at_s < self._again_s):
+        if not missing or (not is_newer and now_s - self._asked_at_s < _AGAIN_S):
             return
-        self._again_s = _AGAIN_S[0] if is_newer else min(2 * self._again_s, _AGAIN_S[1])
         self._asked_generation, self._asked_at_s = plan.generation, now_s
-        for node in self._nodes.values():
+        for node in self._nodes:
             self._reach(node, _PLAN_BYTES, partial(self._on_plan, node, plan, lease_s))
 
     def stand_by(self) -> None:
@@ -214,11 +200,6 @@ class SimulatedWorld:
     def results(self) -> Mapping[str, int]:
         """Return the answers to plans, by result."""
         return dict(self._results)
-
-    @property
-    def report_bytes(self) -> int:
-        """Wire bytes of all reports sent."""
-        return self._report_bytes
 
     def probes_sent(self) -> tuple[int, int]:
         """Return the number of probes and their wire bytes."""
@@ -274,47 +255,44 @@ class SimulatedWorld:
     def _on_probe(self, request: ProbeRequest, index: int, sent_s: float) -> None:
         # One thread stamps the packets, late and in order.
         stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
-        self._peer.stamp_s = stamp_s = max(stamp_s, self._peer.stamp_s)
-        self._peer.receiver.on_probe(
+        self._stamp_s = max(stamp_s, self._stamp_s)
+        self._receiver.on_probe(
             train=request.number,
             index=index,
             packets=request.packets,
             payload_bytes=request.packet_bytes,
             sent_ns=round(sent_s * 1e9),
-            received_ns=round((stamp_s + _PEER_CLOCK_S) * 1e9),
+            received_ns=round((self._stamp_s + _PEER_CLOCK_S) * 1e9),
         )
-        self._peer.schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
-        if self._peer.schedule.due_s < self._report_alarm.when_s:
-            self._report_alarm.set(self._peer.schedule.due_s)
+        self._schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
+        if self._schedule.due_s < self._report_alarm.when_s:
+            self._report_alarm.set(self._schedule.due_s)
 
     def _look(self) -> None:
         """Send a report if one is due, as `arpd.ros.peer` does."""
-        schedule = self._peer.schedule
-        schedule.note_traffic(self._received_by_peer()[0] - self._peer.rx_bytes)
-        if self._timeline.now_s < schedule.due_s:
-            self._report_alarm.set(schedule.due_s)
+        self._schedule.note_traffic(self._received_by_peer()[0] - self._received[0])
+        if self._timeline.now_s < self._schedule.due_s:
+            self._report_alarm.set(self._schedule.due_s)
             return
         self._report()
-        self._report_alarm.set(schedule.look_s)
+        self._report_alarm.set(self._schedule.look_s)
 
     def _report(self) -> None:
-        peer = self._peer
-        rx_bytes, rx_packets = self._received_by_peer()
-        delays_s, trains = peer.receiver.take()
+        (before, packets_before), self._received = self._received, self._received_by_peer()
+        delays_s, trains = self._receiver.take()
         report = PeerReport(
             peer=_PEER,
             received_at_s=0.0,
-            interval_s=self._timeline.now_s - peer.schedule.sent_at_s,
-            rx_bytes=rx_bytes - peer.rx_bytes,
-            rx_packets=rx_packets - peer.rx_packets,
+            interval_s=self._timeline.now_s - self._schedule.sent_at_s,
+            rx_bytes=self._received[0] - before,
+            rx_packets=self._received[1] - packets_before,
             delays_s=delays_s,
             trains=trains,
-            last_probe=peer.receiver.last_probe,
-            probe_packets=peer.receiver.packets_before,
+            last_probe=self._receiver.last_probe,
+            probe_packets=self._receiver.packets_before,
         )
-        peer.rx_bytes, peer.rx_packets = rx_bytes, rx_packets
-        peer.schedule.note_sent(self._timeline.now_s)
-        self._report_bytes += _REPORT_BYTES
+        self._schedule.note_sent(self._timeline.now_s)
+        self.report_bytes += _REPORT_BYTES
         self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
 
     def _received_by_peer(self) -> tuple[int, int]:

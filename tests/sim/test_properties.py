@@ -14,12 +14,12 @@ from arpd.model.link import LinkState
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import LossStep, RateSchedule, RateStep
+from arpd.sim.schedule import RateSchedule, RateStep
 from tests.sim.watched import MBIT, Tick, watch
 
 PAST_S, REST_S, WATCH_S = 25.0, 75.0, 15.0  # a rise counts when it has held for 30 s, and waits for three dwells
 SEEDS = range(5)
-CONSTANTS = ((0, 0.5), (2, 6.0), (4, 50.0))
+CONSTANTS = ((1, 0.5), (2, 6.0), (4, 50.0))
 ROBOT = (
     SimTopic(name="/camera", payload_bytes=20_000, rate_hz=15.0),
     SimTopic(name="/scan", payload_bytes=5_000, rate_hz=10.0),
@@ -52,24 +52,17 @@ def random_rates(random: Random, until_s: float) -> list[RateStep]:
 
 
 def random_model(random: Random, until_s: float) -> LinkModel:
-    """Draw delay, queue, losses and overhead; outages and steps of loss end before ``until_s``."""
-    outages, losses, t_s = [], [], 0.0
+    """Draw delay, queue, loss and overhead; outages end before ``until_s``."""
+    outages, t_s = [], 0.0
     while random.random() < 0.4 and (t_s := t_s + random.uniform(1.0, 20.0)) < until_s - 4.0:
         outages.append((t_s, t_s + random.uniform(0.1, 4.0)))
         t_s = outages[-1][1]
-    if random.random() < 0.4:
-        start_s = random.uniform(0.0, until_s - 10.0)
-        losses = [
-            LossStep(start_s=start_s, loss=random.choice([0.05, 0.3, 0.9])),
-            LossStep(start_s=start_s + random.uniform(0.5, 9.0), loss=0.0),
-        ]
     has_overhead = random.random() < 0.5
     return LinkModel(
         delay_s=random.choice([0.001, 0.005, 0.03]),
         queue_bytes=random.choice([30_000, 256_000, 1_000_000]),
         loss=random.choice([0.0, 0.0, 0.01]),
         outages=tuple(outages),
-        losses=tuple(losses),
         packet_overhead_s=random.choice([50e-6, 200e-6]) if has_overhead else 0.0,
         aggregate_packets=random.choice([1, 16, 64]) if has_overhead else 1,
         firmware_bytes=random.choice([0, 0, 20_000, 100_000]),
@@ -78,17 +71,10 @@ def random_model(random: Random, until_s: float) -> LinkModel:
 
 @cache
 def anywhere(seed):
-    """Play a link that changes until the end; some links have bursts of loss."""
+    """Play a link that changes until the end."""
     random = Random(f"anywhere {seed}")
-    steps = random_rates(random, PAST_S)
-    model = random_model(random, PAST_S)
-    if random.random() < 0.5:
-        bad_loss, good_s, bad_s = random.choice([0.5, 1.0]), random.choice([0.3, 3.0]), random.choice([0.05, 0.3])
-        losses, t_s = [], 0.0
-        while (t_s := t_s + random.expovariate(1.0 / good_s)) < PAST_S:
-            losses += [LossStep(t_s, bad_loss), LossStep(t_s := t_s + random.expovariate(1.0 / bad_s), 0.0)]
-        model = replace(model, losses=tuple(losses))
-    return watched(RateSchedule(steps=tuple(steps)), PAST_S, model, seed=seed)
+    steps = tuple(random_rates(random, PAST_S))
+    return watched(RateSchedule(steps=steps), PAST_S, random_model(random, PAST_S), seed=seed)
 
 
 @cache

@@ -203,7 +203,7 @@ def test_an_upload_gets_room_and_gives_it_back():
     assert max(moment.queue_delay_s for moment in beside) < 0.4
     after = between(result, UPLOAD_END_S + 6.0, 50.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
-    assert min(moment.budget_bytes_per_second for moment in after) > 0.75 * 5.0 * MBIT
+    assert min(moment.budget_bytes_per_second for moment in after) > 0.6 * 5.0 * MBIT
     causes = [moment.cause for moment in result.plans if moment.t_s > 10.0]
     assert set(causes) == {"down"}
     assert len(causes) <= 2

@@ -177,15 +177,6 @@ def test_a_reader_that_the_graph_shows_late_is_no_cross_traffic():
     assert max(robot.run(6.0)) <= robot.grain
 
 
-def test_what_was_sent_into_an_outage_may_come_again():
-    """A writer resends samples that the interface carried and nobody received."""
-    robot = Robot(Source(rate_hz=100.0))
-    robot.run(8.0)
-    robot.traffic.note_outage(robot.now_s - 2.0, robot.now_s)
-    assert max(robot.run(2.0, robot.own)) <= robot.grain
-    assert robot.run(5.0, robot.own)[-1] > 0.5 * robot.own
-
-
 @pytest.mark.parametrize("cross_traffic", [0.0, 1e6])
 def test_what_a_relay_sends_is_its_own(cross_traffic):
     """Of a relay's two ends the bytes they count are no cross traffic, before a map has crossed whole, and in calls."""

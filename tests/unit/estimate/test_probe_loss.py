@@ -64,17 +64,3 @@ def test_what_is_lost_is_counted_to_the_packet(probes, counted, peers):
         assert ratio is None
     else:
         assert ratio == pytest.approx(lost / sent)
-
-
-def test_what_is_under_way_is_not_lost():
-    """Probes that wait in a queue count only when a later one has arrived."""
-    loss, peer = ProbeLoss(), Peer()
-    for number in range(1, 101):
-        loss.note_sent(request(number, 4))
-        if number <= 50:
-            peer.hear(request(number, 4), range(4))
-        loss.digest(peer.report(number * 0.1))
-    assert loss.ratio(10.0) == 0.0
-    peer.hear(request(100, 4), range(1))  # the others never came
-    loss.digest(peer.report(10.1))
-    assert loss.ratio(10.1) == pytest.approx(49 / 99)

@@ -30,33 +30,6 @@ def arrivals(received_ns, *, sent_every_ns=100_000):
     ]
 
 
-def measure(received_ns, *, lost=0, **options):
-    return measure_train(arrivals(received_ns, **options), packets=len(received_ns) + lost)
-
-
-def grouped(*sizes, gap_ns=20_000):
-    """Return arrivals of aggregates: a group of k packets arrives when the link has carried all k of them."""
-    out, now = [], 0
-    for size in sizes:
-        now += size * SPACING_NS
-        out += [now + place * gap_ns for place in range(size)]
-    return out
-
-
-@pytest.mark.parametrize("packets", [10, 24])
-@pytest.mark.parametrize("gap_ns", [0, 15_000, 40_000])
-def test_a_train_that_arrives_all_at_once_tells_nothing(packets, gap_ns):
-    """One dense group shows the pace of the receiving host, not that of the link."""
-    assert measure(grouped(packets, gap_ns=gap_ns)) is None
-
-
-@pytest.mark.parametrize("step_ns", [SPACING_NS + 1, 2 * SPACING_NS, 10**9, 3 * 10**12])
-@pytest.mark.parametrize("at", [1, 6, 11])
-def test_a_clock_that_steps_back_inside_a_train_spoils_it(step_ns, at):
-    """A negative gap comes from the clock, so the train is not used."""
-    assert measure([i * SPACING_NS - (step_ns if i >= at else 0) for i in range(12)]) is None
-
-
 @st.composite
 def journeys(draw):
     """Draw a train over a token bucket and an aggregating radio, to a thread that wakes up late at any packet.
@@ -137,27 +110,6 @@ def test_a_tenth_may_be_lost_anywhere(lost):
     (train,) = receiver.take()[1]
     # A packet lost in the middle took link time, and its bytes do not count: the train reads low, never high.
     assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
-
-
-def test_a_ping_between_the_packets_of_a_long_train_does_not_end_it():
-    """A train that takes longer than the pings' period still counts as a whole, once."""
-    receiver = Receiver()
-    send(receiver, 1, 40, indices=range(10))
-    send(receiver, 2, 1)
-    send(receiver, 1, 40, indices=range(10, 38))
-    send(receiver, 3, 1)
-    send(receiver, 1, 40, indices=range(38, 40))
-    send(receiver, 4, 1)
-    (train,) = receiver.take()[1]
-    assert (train.packets, receiver.last_probe) == (37, 4)
-
-
-def test_a_restarted_daemon_is_measured_from_its_first_train_on():
-    """Numbers that start again belong to new trains."""
-    receiver = Receiver()
-    for number in (812, 1, 2):
-        send(receiver, number, 10)
-    assert len(receiver.take()[1]) == 3
 
 
 def test_repeated_packets_do_not_pile_up():

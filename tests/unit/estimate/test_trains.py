@@ -1,7 +1,5 @@
 """Two packet sizes show the overhead of a packet and the capacity: exactly on an ideal link, despite bad trains."""
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,7 +43,7 @@ class Link:
 
     @property
     def capacities(self):
-        return self.log.capacities(-math.inf, packet_overhead_s=self.log.packet_overhead_s)
+        return self.log.take(packet_overhead_s=self.log.packet_overhead_s)
 
 
 def with_overhead(capacity, part):

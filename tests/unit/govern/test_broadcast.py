@@ -28,11 +28,6 @@ def test_a_change_goes_out_at_once(factor, is_news):
     assert sent([PRICE, PRICE, replace(PRICE, share_per_weight=0.1 * factor)]) == [0, *[2] * is_news]
 
 
-def test_small_changes_add_up():
-    """A price that creeps is compared with the one that was sent, not with the last tick's."""
-    assert sent([replace(PRICE, share_per_weight=0.1 * 1.004**tick) for tick in range(7)]) == [0, 3, 6]
-
-
 def test_a_slow_link_is_not_filled_with_prices():
     """On a link of 8 kbit/s small changes wait for a second, and a deep fall does not."""
     slow = replace(PRICE, capacity_bytes_per_second=1e3)

@@ -72,12 +72,6 @@ def test_floors_go_on_beside_any_queue(floors, goes_on):
     assert Budget().update(5.0, queued, headroom=0.8, topics=[command]) == pytest.approx(goes_on * C)
 
 
-def test_a_queue_that_one_message_explains_costs_nothing():
-    """The largest message of the robot may stand before the link for a moment."""
-    assert allowed(queue_delay_s=0.4, queue_allowance_s=0.4) == pytest.approx(0.8 * C)
-    assert allowed(queue_delay_s=0.4, queue_allowance_s=0.1) < 0.8 * C
-
-
 # -- lasting
 
 

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from arpd.govern.governor import Governor
-from arpd.govern.swaps import swap_costs
 from arpd.model.allocation import Topic
-from arpd.model.endpoints import RefusalReason
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Backend, GovernorSettings, Settings
@@ -125,13 +123,6 @@ def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
     assert changes(run.ticks(3.0)) == ["topics"]
 
 
-def test_without_topics_nothing_is_planned():
-    """Without topics there is no plan and no price, and everything is admitted."""
-    decisions = Run(topics=()).ticks(5.0)
-    assert not changes(decisions)
-    assert (decisions[-1].allowed, decisions[-1].price) == (1.0, None)
-
-
 @pytest.mark.parametrize("change", [{"desired_rate_hz": 80.0}, {"desired_rate_hz": 20.0}, {"wire_bytes": 60_000.0}])
 def test_demand_does_not_wait_for_the_dwell(change):
     """A source whose rate or size changes by more than a quarter gets a plan after the hold, however new the last."""
@@ -160,16 +151,6 @@ def test_silence_is_no_demand():
     run.silent, run.topics = set(), TOPICS
     assert not changes(run.ticks(5.0))
     assert run.governor.plan.topics["/t0"] == row
-
-
-def test_a_change_of_the_capacity_is_no_demand():
-    """The rest for a large topic beside small ones moves by more than the capacity, which is no demand."""
-    small = tuple(
-        Topic(name=f"/s{i}", wire_bytes=200.0, packets=1, desired_rate_hz=500.0, min_rate_hz=1.0) for i in range(6)
-    )
-    large = Topic(name="/large", wire_bytes=30_000.0, packets=21, desired_rate_hz=30.0, min_rate_hz=1.0)
-    run = Run(topics=(*small, large)).planned()
-    assert "demand" not in changes(run.ticks(30.0, 0.85e6))
 
 
 def test_a_reader_that_asks_for_less_is_served_at_once():
@@ -206,17 +187,6 @@ def test_a_graph_that_grows_makes_few_plans():
     assert set(changes(run.ticks(30.0))) <= {"budget"}
 
 
-def test_a_first_plan_does_not_wait_for_a_graph_that_never_rests():
-    """Topics that come all the time get a first plan after the dwell."""
-    run = Run(topics=names(1))
-    for count in range(1, 300):
-        run.topics = names(1 + count // 5)
-        if run.tick().level_changed:
-            break
-    assert run.governor.plans_by_cause == {"start": 1}
-    assert run.now_s - 100.0 == pytest.approx(GOVERNOR.dwell_s, abs=LATE_S)
-
-
 # -- plans for the link
 
 RISE_S = 3 * GOVERNOR.dwell_s
@@ -245,26 +215,6 @@ def test_a_link_that_swings_within_a_minute_swaps_nothing():
     run = Run().planned(4e5)
     for _ in range(10):
         assert not changes([*run.ticks(20.0, 2e6), *run.ticks(20.0, 4e5)])
-
-
-def test_a_change_that_no_class_feels_is_no_plan():
-    """Where all sources get their rates before and after, the level follows and no generation is spent."""
-    run = Run().planned(3e6)
-    before = run.governor.plan
-    assert not changes(run.ticks(60.0, 4.5e6))
-    assert (run.governor.plan.generation, run.governor.plan.topics) == (before.generation, before.topics)
-    assert run.governor.plan.level_bytes_per_second == pytest.approx(0.85 * 4.5e6)
-
-
-def test_deadlines_follow_the_lasting_budget_and_depths_the_ceiling():
-    """A short fall shows in no plan; a lasting one lengthens the deadline of the largest topic, at the same depths."""
-    run = Run().planned(4e6)
-    before = run.governor.plan.topics
-    assert not changes(run.ticks(30.0, 2e5, lasting=4e6))
-    run.until_changed(2e6)
-    after = run.governor.plan.topics
-    assert {name for name, row in after.items() if row.deadline_ns > before[name].deadline_ns} == {"/t2"}
-    assert {row.depth for row in (*before.values(), *after.values())} == {16}
 
 
 def test_a_daemon_that_starts_in_an_outage_plans_when_the_link_is_there():
@@ -324,26 +274,6 @@ def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
     assert changes(run.ticks(30.0)) == ["budget"]
     assert APPLICATION not in qos(run.governor.plan).values()
     assert changes(run.ticks(120.0)) == []
-
-
-def test_a_source_that_falls_silent_is_owed_nothing():
-    """Swaps count as postponed only while some are due: not for a silent source, and not without topics."""
-    weighted = tuple(replace(topic, weight=1.0 + i) for i, topic in enumerate(TOPICS))
-    run = Run(topics=weighted, participants=50)
-    assert run.ticks(3.0)[-1].refusals == ("budget",)
-    run.silent = {"/t0"}
-    assert run.tick().refusals == ()
-    run = Run(topics=weighted, participants=50)
-    run.ticks(3.0)
-    run.topics = ()
-    assert run.tick().refusals == ()
-
-
-def test_a_publisher_that_refuses_new_qos_costs_nothing():
-    """Publishers that refuse QoS for good do not use up the budget."""
-    refusing = publisher("/n", "/t", refusal="no", refusal_reason=RefusalReason.TRANSIENT_LOCAL)
-    assert swap_costs([refusing], participants=3) == {"/t": 0.0}
-    assert swap_costs([publisher("/n", "/t")], participants=3) == {"/t": 3 * swap_bytes(22)}
 
 
 # -- memory

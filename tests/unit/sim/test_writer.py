@@ -10,23 +10,23 @@ from hypothesis import strategies as st
 
 from arpd.model.endpoints import WriterQos
 from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.result import Arrivals
+from arpd.sim.result import SAMPLE, Arrivals
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Timeline
-from arpd.sim.writer import SAMPLE, Counting, SimulatedWriter
+from arpd.sim.writer import SimulatedWriter
 from tests.examples import examples
 
 
 class Delivered(Arrivals):
     """Records the samples that a reader receives, in order."""
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, timeline):
+        super().__init__(timeline, 500)
         self.delivered = []
 
-    def on_delivery(self, sequence, stamp_s, size_bytes):
-        self.delivered.append(sequence)
+    def on_delivery(self, sample):
+        self.delivered.append(SAMPLE.unpack_from(sample)[0])
 
 
 class World:
@@ -43,12 +43,12 @@ class World:
             )
             for name in ("there", "back")
         )
-        self.reader = Delivered()
+        self.reader = Delivered(self.timeline)
         self.published = 0
         self.writer = SimulatedWriter(
             Socket(self.timeline, self.there, room_bytes=math.inf),
             self.back,
-            Counting(self.reader, self.timeline, 500),
+            self.reader,
             qos=WriterQos(depth=depth, deadline_ns=0),
             heartbeat_s=0.05,
         )
