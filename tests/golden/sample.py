@@ -16,12 +16,22 @@ from arpd.model.plan import QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset, PeerReport
 from arpd.model.relay import RelaySummary, RelayTopics
+from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.situation import find
 from arpd.report.snapshot import Snapshot, Totals
 from arpd.web.api import status_json
 from tests.sample_publishers import publisher
 
 FINISHED_AT_S = 1000.0
+EVENT = Event(
+    number=7,
+    at_s=1000.0,
+    unix_time_s=1.7e9,
+    kind=Happening.PLAN,
+    severity=Severity.WARNING,
+    text="link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
+    details={"generation": "3"},
+)
 
 _IMAGE = publisher(
     "/camera",

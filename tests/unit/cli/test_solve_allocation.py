@@ -5,11 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from functools import partial
 
 import pytest
-
-from arpd.model.settings import Backend
 
 MBIT = 125_000.0  # bytes
 SMALL = """\
@@ -21,42 +18,23 @@ topics:
 """
 
 
-@pytest.fixture
-def solve(run):
-    """Run ``arpd solve``."""
-    return partial(run, "solve")
-
-
-@pytest.fixture
-def allocation(solve):
-    """Run ``arpd solve --json`` and return its document, topics by name."""
-
-    def allocation(*arguments):
-        code, out, _ = solve(*arguments, "--json")
-        assert code == 0
-        plan = json.loads(out)
-        return plan, {row["topic"]: row for row in plan["topics"]}
-
-    return allocation
-
-
-def test_several_capacities_are_a_list_or_tables(solve, config):
+def test_several_capacities_are_a_list_or_tables(run, config):
     """Each capacity has an allocation in JSON, and a table of its own."""
-    code, out, _ = solve("--config", config(), "--capacity", "0.5mbit,2mbit,54mbit", "--json")
+    code, out, _ = run("solve", "--config", config(), "--capacity", "0.5mbit,2mbit,54mbit", "--json")
     documents = json.loads(out)
     assert (code, [each["capacity_bytes_per_second"] / MBIT for each in documents]) == (0, [0.5, 2, 54])
     assert all(each["share"] <= 0.85 + 1e-9 for each in documents)
-    _, out, _ = solve("--config", config(), "--capacity", "0.5mbit,54mbit")
+    _, out, _ = run("solve", "--config", config(), "--capacity", "0.5mbit,54mbit")
     slow, fast = (line.split() for line in out.splitlines() if line.startswith("/scan"))
     assert (slow[5], fast[5]) == ("paused", "20")
     assert "gave way: " in out
 
 
-def test_topics_of_which_nothing_is_known_are_left_out(solve, config):
+def test_topics_of_which_nothing_is_known_are_left_out(run, config):
     """With none there is nothing to plan, and the file is wrong."""
     path = config(f"{SMALL}  - {{name: /odd, payload: 1kB}}\n")
-    assert "for 3 topics" in solve("--config", path, "--capacity", "2mbit")[1]
-    code, out, err = solve("--config", config("topics: [{name: /odd, payload: 1kB}]"), "--capacity", "2mbit")
+    assert "for 3 topics" in run("solve", "--config", path, "--capacity", "2mbit")[1]
+    code, out, err = run("solve", "--config", config("topics: [{name: /odd, payload: 1kB}]"), "--capacity", "2mbit")
     assert (code, out, err.startswith(f"{path}:1:1: topics: no topic has")) == (78, "", True)
 
 
@@ -69,15 +47,3 @@ def test_solving_offline_needs_neither_ros_nor_matplotlib(config, command):
     )
     ran = subprocess.run([sys.executable, "-c", script, *command, config()], capture_output=True, text=True, check=True)
     assert ran.stdout.splitlines()[-1] == "[]"
-
-
-def test_every_back_end_prints_the_same_digits(allocation, config):
-    """Rates and shares agree to a millionth, and each back end has found its own."""
-    path, found = config(), {}
-    for backend in Backend:
-        plan, found[backend] = allocation("--config", path, "--capacity", "2mbit", "--backend", backend)
-        assert plan["allocation"]["backend"] == backend
-    for topics in found.values():
-        for name, row in topics.items():
-            for key in ("rate_hz", "share", "deadline_ns", "depth"):
-                assert row[key] == pytest.approx(found[Backend.OSQP][name][key], rel=1e-6)

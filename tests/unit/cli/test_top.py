@@ -36,7 +36,6 @@ def test_live_needs_a_terminal_that_can_be_drawn_on(run, monkeypatch, is_termina
     monkeypatch.setenv("TERM", kind)
     code, _, err = run("top")
     assert (code, "arpd status" in err) == (2, True)
-    assert run("top", "--interval", "0")[0] == 2
 
 
 class Screen:

@@ -11,19 +11,11 @@ import yaml
 
 from arpd.cli import options
 from arpd.host import interface as host
-from arpd.model.errors import RosUnavailableError
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
 from arpd.ros import runtime
 
-SMALL = "relay:\n  link_domain: 90\n  robot: robot.local\n  base: 10.0.0.2\n"
-
-
-IMU = LinkTopic(
-    name="/imu",
-    types=("sensor_msgs/msg/Imu",),
-    writers=("/driver",),
-    traffic=TopicTraffic(samples=5, rate_hz=200.0, mean_bytes=324.0, largest_bytes=324),
-)
+TRAFFIC = TopicTraffic(samples=5, rate_hz=200.0, mean_bytes=324.0, largest_bytes=324)
+IMU = LinkTopic(name="/imu", types=("sensor_msgs/msg/Imu",), writers=("/driver",), traffic=TRAFFIC)
 
 
 @pytest.fixture
@@ -85,8 +77,11 @@ def test_the_link_domain_is_not_that_of_the_nodes(run, robot, monkeypatch):
 
 @pytest.mark.parametrize(
     ("text", "prefix"),
-    [("relay:\n  prefix: /air\n", "/air"), (SMALL, ""), (None, "/link")],
-    ids=["one end", "two ends", "missing"],
+    [
+        ("relay: {prefix: /air}\n", "/air"),
+        ("relay: {link_domain: 90, robot: robot.local, base: 10.0.0.2}\n", ""),
+        (None, "/link"),
+    ],
 )
 def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_path, text, prefix):
     """The prefix is that of the installed file; a missing one does not stop a first look."""
@@ -94,34 +89,3 @@ def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_pat
     if text is not None:
         (tmp_path / "installed.yaml").write_text(text)
     assert (run("topics")[0], asked["prefix"]) == (0, prefix)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--seconds", "0"], "--seconds"),
-        (["--seconds", "nan"], "--seconds"),
-        (["--seconds", "1e9"], "--seconds"),
-        (["--robot", "10.0.0.1"], "--suggest"),
-        (["--suggest", "--robot", "not an address"], "--robot"),
-        (["--suggest", "--base", "10.0.0"], "--base"),
-        (["--suggest", "--json"], "not allowed with"),
-    ],
-)
-def test_wrong_usage_exits_2(run, robot, arguments, word):
-    """The fault is named before anything is measured."""
-    asked = robot()
-    code, out, err = run("topics", *arguments)
-    assert (code, out, asked) == (2, "", {})
-    assert word in err
-
-
-def test_without_ros_the_command_exits_69(run, robot, monkeypatch):
-    """The reason is one line."""
-    robot()
-
-    def no_ros(_name):
-        raise RosUnavailableError("ROS 2 cannot be imported")
-
-    monkeypatch.setattr(runtime, "ros_node", no_ros)
-    assert run("topics") == (69, "", "arpd: ROS 2 cannot be imported\n")

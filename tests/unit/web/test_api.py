@@ -13,23 +13,13 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from arpd.model.allocation import AllocationStatus, Uniform
-from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.history import History as Past
 from arpd.web.api import History, Status, history_json
 from arpd.web.json_text import read, schema_of
-from tests.golden.sample import changed, status_of
+from tests.golden.sample import EVENT, changed, status_of
 
 KEYS = Path(__file__).parents[2] / "golden" / "api-v1-keys.yml"
 KINDS = {"status": Status, "history": History}
-EVENT = Event(
-    number=7,
-    at_s=1000.0,
-    unix_time_s=1.7e9,
-    kind=Happening.PLAN,
-    severity=Severity.WARNING,
-    text="link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
-    details={"generation": "3"},
-)
 
 
 @pytest.fixture
@@ -37,12 +27,13 @@ def documents(sample_snapshot):
     """Return documents of every kind of daemon, by name: those of one with everything, and of an empty one."""
     past = Past()
     past.note(sample_snapshot)
-    allocation = replace(sample_snapshot.allocation, uniform=Uniform(topics=3, max_rate_hz=9.0, rate_hz=3.0, depth=5))
-    full = changed(events=(EVENT,), allocation=allocation, config_error="line 3: unknown key")
-    observation = replace(sample_snapshot.observation, publishers=(), counters=None, peer_ages_s={}, rmw="", taken=None)
-    allocation = replace(sample_snapshot.allocation, topics=(), status=AllocationStatus.EMPTY)
-    link = replace(sample_snapshot.link, age_s=math.inf, queue_delay_s=math.nan, loss_ratio=None)
-    empty = replace(sample_snapshot, observation=observation, allocation=allocation, link=link)
+    uniform = Uniform(topics=3, max_rate_hz=9.0, rate_hz=3.0, depth=5)
+    full = changed(events=(EVENT,), allocation={"uniform": uniform}, config_error="line 3: unknown key")
+    empty = changed(
+        observation={"publishers": (), "counters": None, "peer_ages_s": {}, "rmw": "", "refused": {}},
+        allocation={"topics": (), "status": AllocationStatus.EMPTY},
+        link={"age_s": math.inf, "queue_delay_s": math.nan, "loss_ratio": None},
+    )
     return {
         "full": {
             "status": status_of(full, now_s=1000.25),

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from arpd.report.conditions import Event, Happening, Severity
-from arpd.report.history import History
-from tests.golden.sample import changed, status_of
+from tests.golden.sample import EVENT, changed, status_of
 from tests.unit.web_world import running
 
 WEB = Path(__file__).parents[3] / "arpd" / "web"
 
 
 @pytest.fixture
-def get(sample_snapshot):
+def get():
     """Return a function that asks the server for a path."""
-    history = History()
-    for second in range(30):
-        history.note(replace(sample_snapshot, finished_at_s=float(second)))
-    with running(snapshot=lambda: sample_snapshot, history=history) as world:
+    with running() as world:
         yield world.get
 
 
@@ -95,8 +89,7 @@ class _Places(HTMLParser):
 
 def test_every_place_of_the_page_is_in_the_document():
     """Each path of page.html exists in a full document."""
-    told = Event(number=1, at_s=1000.0, unix_time_s=1.7e9, kind=Happening.PLAN, severity=Severity.INFO, text="a plan")
-    document = status_of(changed(config_error="line 3", events=(told,)), now_s=1000.25)
+    document = status_of(changed(config_error="line 3", events=(EVENT,)), now_s=1000.25)
     places = _Places()
     places.feed((WEB / "assets/page.html").read_text())
     assert len(places.paths) > 60
