@@ -169,7 +169,7 @@ def test_a_fault_while_answering_leaks_nothing_and_is_logged(caplog):
 
 
 def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
-    """The daemon goes on without metrics, logs that once, and serves as soon as the port is free."""
+    """The daemon goes on without metrics, logs once which keys to change, and serves as soon as the port is free."""
     monkeypatch.setattr("arpd.web.server._LOOK_S", 0.02)
     caplog.set_level("INFO", "arpd.web.server")
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -181,3 +181,4 @@ def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
             eventually("it serves", lambda: not server.fault)
             assert server.port == port
     assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
+    assert "Set http.host and http.port" in caplog.text

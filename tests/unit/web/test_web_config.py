@@ -61,6 +61,7 @@ TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
         ("tls_servr_config: {}", "1:1: tls_servr_config", "known here: tls_server_config, basic_auth_users"),
         ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file", "is missing"),
         ("tls_server_config:", "1:19: tls_server_config", "has no value"),
+        (f"{TLS}, key: x}}", "1:66: tls_server_config.key", "known here: cert_file, key_file, client_auth_type"),
         ("basic_auth_users: [a]", "1:19: basic_auth_users", "is not a mapping"),
         (f"basic_auth_users: {{alice: {SECRET}}}", "1:27: basic_auth_users.alice", "not a bcrypt hash"),
         (f"basic_auth_users: {{a: '{HASH.replace('$04$', '$20$')}'}}", "1:23: basic_auth_users.a", "cost 20"),
