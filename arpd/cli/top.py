@@ -10,7 +10,7 @@ import sys
 import termios
 import time
 import tty
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -61,8 +61,9 @@ def _top(options: argparse.Namespace) -> int:
         live = Live(
             seen, console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )
-        with suppress(KeyboardInterrupt), _keyboard() as is_ended, live:
-            live.refresh()
+        with suppress(KeyboardInterrupt), _keyboard() as is_ended, ExitStack() as screen:
+            screen.callback(live.stop)  # first: a signal may come while the first frame is drawn
+            live.start(refresh=True)
             while not is_ended(options.interval):
                 try:
                     seen = replace(seen, status=daemon.status(), why_silent="")
