@@ -10,7 +10,7 @@ import sys
 import termios
 import time
 import tty
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -61,9 +61,7 @@ def _top(options: argparse.Namespace) -> int:
         live = Live(
             seen, console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )
-        with suppress(KeyboardInterrupt), _keyboard() as is_ended, ExitStack() as screen:
-            screen.callback(live.stop)  # first: a signal may come while the first frame is drawn
-            live.start(refresh=True)
+        with _keyboard() as is_ended, live:
             while not is_ended(options.interval):
                 try:
                     seen = replace(seen, status=daemon.status(), why_silent="")
@@ -78,20 +76,24 @@ def _top(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _keyboard() -> Iterator[Callable[[float], bool]]:
-    """Take the keyboard, where there is one; SIGTERM ends this as Ctrl-C does, and Ctrl-Z would leave the screen torn.
+    """Take the keyboard, where there is one; Ctrl-C and SIGTERM are keys, too, and Ctrl-Z would leave the screen torn.
+
+    An exception would come anywhere: within a frame it leaves the screen as it is.
 
     Yields
     ------
     A function that waits for so long (s), and returns whether the user wants to end.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signals, told = os.pipe()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda _number, _frame: os.write(told, b"q"))
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     watched = [sys.stdin.fileno()] if sys.stdin is not None and sys.stdin.isatty() else []
     before = [(keyboard, termios.tcgetattr(keyboard)) for keyboard in watched]
 
     def is_ended(timeout_s: float) -> bool:
-        readable = select.select(watched, [], [], timeout_s)[0]
-        return any(not (keys := os.read(keyboard, 64)) or set(keys) & set(_QUIT_KEYS) for keyboard in readable)
+        readable = select.select([signals, *watched], [], [], timeout_s)[0]
+        return any(not (keys := os.read(each, 64)) or set(keys) & set(_QUIT_KEYS) for each in readable)
 
     try:
         for keyboard in watched:
