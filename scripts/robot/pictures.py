@@ -14,7 +14,8 @@ import shutil
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,7 +41,7 @@ from scripts.robot.demo import DemoError
 from scripts.robot.proxy import HTTP_PORT, window
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ViewportSize
+    from playwright.sync_api import Browser, Page, ViewportSize
 
 _FAST, _SLOW, _OUT = (20 * MBIT, 0.0), (5 * MBIT, 0.0), (2000.0, 1.0)
 _COURSE = [(0.0, *_FAST), (30.0, *_SLOW), (55.0, *_OUT), (66.0, *_SLOW), (72.0, *_FAST), (97.0, *_SLOW)]
@@ -64,6 +65,9 @@ def run_and_take(folder: Path) -> None:
     usable, reason = available()
     if not usable:
         raise DemoError(f"a real run needs network namespaces ({reason}); run this as root")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise DemoError("chromium is not installed; apt-get install chromium")
     logs = Path(tempfile.mkdtemp(prefix="arpd-screenshots-"))
     print(f"logs in {logs}", file=sys.stderr)
     with (
@@ -71,47 +75,40 @@ def run_and_take(folder: Path) -> None:
         ExitStack() as stack,
         window(world.link.robot, HTTP_PORT) as url,
         progress("the robot at work", total=_DURATION_S) as shown,
+        sync_playwright() as playwright,
+        closing(playwright.chromium.launch(executable_path=chromium, args=_SWITCHES)) as browser,
     ):
         world.start(stack)
         world.begin(math.inf)
+        desk = _open(browser, url, {"width": 1280, "height": 1030})
+        phone = _open(browser, url, {"width": 390, "height": 1180}, scale=1.25)
         events = [(float(at_s), partial(shown, at_s, "")) for at_s in range(int(_DURATION_S))]
         world.follow(_COURSE, time.monotonic(), _DURATION_S, events=events)
-        take(url, folder)
-
-
-def take(url: str, folder: Path) -> None:
-    """Take every picture of the daemon at a base URL."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        raise DemoError("chromium is not installed; apt-get install chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=_SWITCHES)
-        try:
-            _page(browser, url, folder / "page.png", size={"width": 1280, "height": 1030})
-            _page(browser, url, folder / "page-phone.png", size={"width": 390, "height": 1180}, scale=1.25)
-            _top(browser, url, folder / "top.png")
-        finally:
-            browser.close()
+        desk.wait_for_timeout(1500)  # one or two looks, so that the charts are up to date
+        _write(folder / "page.png", desk.screenshot())
+        _write(folder / "page-phone.png", phone.screenshot())
+        with ThreadPoolExecutor() as elsewhere:  # playwright has this thread's event loop
+            frame = elsewhere.submit(_asked, url).result()
+        _write(folder / "top.png", _drawn(browser, frame))
     for path in sorted(folder.glob("*.png")):
         print(f"{path}: {path.stat().st_size / 1024:.0f} KiB")
 
 
-def _page(browser: Browser, url: str, path: Path, *, size: ViewportSize, scale: float = 1.0) -> None:
-    context = browser.new_context(viewport=size, color_scheme="light", device_scale_factor=scale)
-    page = context.new_page()
+def _open(browser: Browser, url: str, size: ViewportSize, *, scale: float = 1.0) -> Page:
+    page = browser.new_context(viewport=size, color_scheme="light", device_scale_factor=scale).new_page()
     page.goto(url)
     page.wait_for_function("() => document.body.dataset.freshness === 'live' && document.querySelector('canvas')")
-    page.wait_for_timeout(1500)  # one or two events, so that the charts are up to date
-    _write(path, page.screenshot())
-    context.close()
+    return page
 
 
-def _top(browser: Browser, url: str, path: Path) -> None:
+def _asked(url: str) -> Frame:
+    with Daemon(read_address(url)) as daemon:
+        return Frame(status=daemon.status(), history=daemon.history(), url="http://robot.local:9464")
+
+
+def _drawn(browser: Browser, frame: Frame) -> bytes:
     """Draw a frame of `arpd top` as a terminal would."""
     console = Console(record=True, width=_COLUMNS, height=_LINES, file=io.StringIO(), force_terminal=True)
-    with Daemon(read_address(url)) as daemon:
-        status, history = daemon.status(), daemon.history()
-    frame = Frame(status=status, history=history, url="http://robot.local:9464")
     console.print(Screen(frame))
     # Without rich's web fonts, which the browser would download.
     plain = re.sub(r"@font-face \{\{.*?\}\}\n", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace("Fira Code", _FONT)
@@ -119,7 +116,7 @@ def _top(browser: Browser, url: str, path: Path) -> None:
     page.set_content(f"<body style='margin:0'>{console.export_svg(title='arpd top', code_format=plain)}</body>")
     picture = page.locator("svg.rich-terminal")
     picture.evaluate("(svg) => { svg.style.width = '1280px'; svg.style.display = 'block'; }")
-    _write(path, picture.screenshot(omit_background=True))
+    return picture.screenshot(omit_background=True)
 
 
 def _write(path: Path, png: bytes) -> None:

@@ -243,7 +243,7 @@ class End:
         refused = {**types, **refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused}
         for name, reason in refused.items():
             if self._refused.get(name) != reason:
-                log.error("cannot carry %s: %s; the other topics are not affected", name, reason)
+                log.error("%s does not cross as it should: %s; the other topics are not affected", name, reason)
         self._refused = refused
 
     def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:

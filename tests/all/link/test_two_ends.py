@@ -4,7 +4,7 @@ from tests.all.link.hosts import NEEDS_LINK
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
-REFUSED = "cannot carry /cries: /crier of the other side is visible in this domain without the relay"
+REFUSED = "/cries does not cross as it should: /crier of the other side is visible in this domain without the relay"
 
 
 def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
