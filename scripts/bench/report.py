@@ -217,10 +217,10 @@ def _wrapped(line: str) -> str:
 _RIVALS = {"plain": "rclpy's defaults", "large_data": "Fast DDS' LARGE_DATA", "two_ends": "arpd"}
 
 
-def _rivals(robots: Summary, robot: str = "tb4") -> str:
+def _rivals(robots: Summary, robot: str = "tb4", link: str = "fall-and-rise") -> str:
     """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
     first = robots.tables[0]
-    rows = [dict(zip(first.columns, row, strict=True)) for row in first.rows if row[0] == robot]
+    rows = [dict(zip(first.columns, row, strict=True)) for row in first.rows if row[:2] == [robot, link]]
     heads = {
         "pictures/s": "large/s",
         "small samples, p99 ms": "small p99 ms",
