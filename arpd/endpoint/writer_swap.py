@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from arpd.model.endpoints import SwapRecord, SwapResult, SwapState, Writer, WriterQos
+from arpd.model.wire import CLEAN_LOSS_RATIO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,7 +39,7 @@ class SwapTiming:
     settle_s: float = 3.0  # at 10 % loss, of 570 readers half matched at once, 2 % after 1 s, the last after 2.8 s
     clean_settle_s: float = 0.2
     clean_unproven_s: float = 1.5  # at 0.4 % loss, one lost packet delayed the match of 60 of 100 readers to 1.1 s
-    clean_loss_ratio: float = 0.005
+    clean_loss_ratio: float = CLEAN_LOSS_RATIO
     match_timeout_s: float = 10.0
     watch_s: float = 0.3
     hold_s: float = 0.3

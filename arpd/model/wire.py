@@ -27,6 +27,8 @@ PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
 HEARTBEAT_S = 0.05
 #: And of those of a relay's two ends, where samples of many topics wait for a lost one before them.
 LINK_HEARTBEAT_S = 0.03
+#: A link that loses a smaller share of its packets is clean.
+CLEAN_LOSS_RATIO = 0.005
 
 # What Fast DDS 2.14 tells each participant of a writer that comes or goes; and rmw_dds_common's
 # ParticipantEntitiesInfo: a GUID per endpoint, beside the names of the nodes.

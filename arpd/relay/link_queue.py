@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready
 from arpd.model.endpoints import WithheldCause
-from arpd.model.wire import FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
+from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
 from arpd.relay.flight import SIGN_BYTES, Flight, Received, Sign, decode_sign, encode_sign
 from arpd.relay.partner import EVERY_S, REPLACED_S
@@ -23,7 +23,6 @@ _LEAST_PACKETS, _MOST_PACKETS = 2, 16
 _UNKNOWN_PACKETS = 4
 _COMPANY_PACKETS, _COMPANY_S = 2.0, 0.005  # small messages wait for others: so many packets' time, at most so long
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
-_LOSSY = 0.005  # of the packets
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
 
@@ -255,7 +254,7 @@ class LinkQueue(PacedQueue):
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))
-            self.flight.is_lossy = (price.loss_ratio or 0.0) >= _LOSSY
+            self.flight.is_lossy = (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO
         self._adapt(None if price is None else price.capacity_bytes_per_second)
 
     def _adapt(self, capacity: float | None) -> None:

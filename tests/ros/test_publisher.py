@@ -23,22 +23,9 @@ from tests.waiting import PATIENCE_S
 TOPIC = "/swapped"
 DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
 DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
-DEEP = 2000  # at 200 Hz ten seconds
 LEASE_S = 60.0  # longer than a busy machine stops a process
 # This host loses nothing, so readers match at once. And it waits: no swap goes on without its acknowledgements.
 PATIENT = SwapTiming(settle_s=0.1, hold_s=60.0, patience_s=60.0, match_timeout_s=60.0, drain_s=60.0)
-
-
-class Reader:
-    def __init__(self, node, qos=DEEP):
-        self.received = []
-        self.subscription = node.create_subscription(
-            String, TOPIC, lambda message: self.received.append(int(message.data)), qos
-        )
-
-    def has_matched(self, publisher):
-        """Return whether both sides of the only match know it."""
-        return publisher.get_subscription_count() == 1 == self.subscription.get_publisher_count()
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from functools import cache
 
 import pytest
 
+from arpd.daemon.compare import between
 from arpd.daemon.scenario import Scenario
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
@@ -14,7 +15,7 @@ from arpd.model.settings import LinkSettings
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.schedule import RateSchedule
-from tests.sim.watched import MBIT, between, goodput
+from tests.sim.watched import MBIT, goodput
 
 STEADY_S = 60.0
 STEP = "0:20mbit,10:5mbit,22:20mbit"  # falls at 10 s, recovers at 22 s
@@ -66,7 +67,7 @@ def test_a_link_that_carries_everything_is_left_alone():
 def test_an_overloaded_link_is_kept_free_of_a_queue():
     """At 5 Mbit/s, with a demand of 12, the queue stays short and the link stays busy."""
     result = play("0:5mbit", STEADY_S)
-    settled = between(result, 15.0, STEADY_S)
+    settled = between(result.moments, 15.0, STEADY_S)
     assert max(moment.queue_delay_s for moment in settled) < 0.2
     # Samples are lost only in the first seconds, while everything flows unpaced before the first plan.
     assert sum(topic.lost for topic in result.topics) < 0.01 * sum(topic.sent for topic in result.topics)
@@ -101,14 +102,14 @@ def test_commands_are_as_prompt_with_arpd_as_without():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_fall_is_known_within_three_seconds(seed):
     """From three seconds after the fall on the estimate is within 15 % of the truth but for moments."""
-    assert right(between(play(STEP, STEP_S, seed=seed), FALL_S + 3.0, RISE_S)) > 0.95
+    assert right(between(play(STEP, STEP_S, seed=seed).moments, FALL_S + 3.0, RISE_S)) > 0.95
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_recovery_is_used_at_once_and_planned_for_later(seed):
     """Budget and payload follow the link up within seconds; shorter deadlines wait until the rise has lasted."""
     result = play(STEP, STEP_S, seed=seed)
-    after = between(result, RISE_S, STEP_S)
+    after = between(result.moments, RISE_S, STEP_S)
     demand = 0.9 * goodput(result, 5.0, FALL_S)  # the link carried everything then
     assert first(after, lambda moment: moment.budget_bytes_per_second > 0.7 * 20 * MBIT) <= RISE_S + 3.0
     assert goodput(result, RISE_S + 2.0, RISE_S + 6.0) > demand
@@ -123,7 +124,7 @@ def test_a_recovery_is_used_at_once_and_planned_for_later(seed):
 def test_an_outage_pauses_the_topics():
     """From 0.6 s of silence on the topics get a twentieth of the link at most, and no more later."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
-    silent = between(result, OUTAGE[0] + 0.6, OUTAGE[1])
+    silent = between(result.moments, OUTAGE[0] + 0.6, OUTAGE[1])
     assert all(moment.state is LinkState.OUTAGE for moment in silent)
     budgets = [moment.budget_bytes_per_second for moment in silent]
     assert budgets[0] <= 0.05 * 20 * MBIT
@@ -133,10 +134,10 @@ def test_an_outage_pauses_the_topics():
 def test_after_an_outage_traffic_and_estimate_return():
     """Half of the link may be used 0.5 s after the outage, payload flows after 1 s, the estimate is right after 5 s."""
     result = play("0:20mbit", OUTAGE_S, outages=(OUTAGE,))
-    after = between(result, OUTAGE[1], OUTAGE_S)
+    after = between(result.moments, OUTAGE[1], OUTAGE_S)
     assert first(after, lambda moment: moment.budget_bytes_per_second > 0.5 * 20 * MBIT) <= OUTAGE[1] + 0.5
     assert goodput(result, OUTAGE[1] + 1.0, OUTAGE_S) > 0.9 * goodput(result, 5.0, OUTAGE[0])
-    assert right(between(result, OUTAGE[1] + 5.0, OUTAGE_S)) > 0.95
+    assert right(between(result.moments, OUTAGE[1] + 5.0, OUTAGE_S)) > 0.95
     assert max(moment.queue_delay_s for moment in after) < 0.25
     assert result.moments[-1].confirmed == len(demo_topics())
 
@@ -152,14 +153,14 @@ def test_what_waited_out_a_standstill_is_no_evidence():
     schedule = RateSchedule.parse("0:5mbit,22:80bit,37:5mbit")
     result = Scenario(demo_settings(), schedule, 42.0, seed=5).play()
     assert not [moment for moment in result.plans if moment.t_s > 22.0]
-    assert min(moment.estimate_bytes_per_second for moment in between(result, 37.0, 42.0)) > 0.5 * 5 * MBIT
-    assert right(between(result, 40.0, 42.0)) > 0.8
+    assert min(moment.estimate_bytes_per_second for moment in between(result.moments, 37.0, 42.0)) > 0.5 * 5 * MBIT
+    assert right(between(result.moments, 40.0, 42.0)) > 0.8
 
 
 def test_a_lossy_link_is_no_slow_link():
     """Resends repair random loss of 1 % of the packets, and it does not look like congestion."""
     result = play("0:20mbit", 25.0, loss=0.01)
-    errors = [error(moment) for moment in between(result, 10.0, 25.0)]
+    errors = [error(moment) for moment in between(result.moments, 10.0, 25.0)]
     assert sum(errors) / len(errors) < 0.15
     assert max(topic.loss_ratio for topic in result.topics) < 0.02
     assert not [moment for moment in result.plans if moment.cause == "down"]
@@ -194,14 +195,14 @@ def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
 def test_an_upload_gets_room_and_gives_it_back():
     """The budget makes room for 2 Mbit/s on a link of 5 within five seconds, and takes it back afterwards."""
     result = play("0:5mbit", 50.0, foreign=UPLOAD)
-    beside = between(result, UPLOAD_S + 5.0, UPLOAD_END_S)
+    beside = between(result.moments, UPLOAD_S + 5.0, UPLOAD_END_S)
     assert all(1.5 * MBIT < moment.cross_traffic_bytes_per_second < 2.4 * MBIT for moment in beside)
     budgets = [moment.budget_bytes_per_second for moment in beside]
     assert statistics.mean(budgets) + 2.0 * MBIT < 5.0 * MBIT
     assert beside[-1].level_bytes_per_second + 2.0 * MBIT < 1.02 * 5.0 * MBIT  # the estimate errs by as much
     assert statistics.median(moment.queue_delay_s for moment in beside) < 0.1
     assert max(moment.queue_delay_s for moment in beside) < 0.4
-    after = between(result, UPLOAD_END_S + 6.0, 50.0)
+    after = between(result.moments, UPLOAD_END_S + 6.0, 50.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
     assert min(moment.budget_bytes_per_second for moment in after) > 0.6 * 5.0 * MBIT
     causes = [moment.cause for moment in result.plans if moment.t_s > 10.0]
@@ -212,7 +213,7 @@ def test_an_upload_gets_room_and_gives_it_back():
 def test_half_of_the_link_stays_the_robots():
     """A flow that would take everything gets at most half of what the plan is made for."""
     result = play("0:5mbit", 35.0, foreign=(flow(12.0, 35.0, 4.5),))
-    yielded = between(result, 19.0, 35.0)
+    yielded = between(result.moments, 19.0, 35.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in yielded) > 2.7 * MBIT
     assert min(moment.level_bytes_per_second for moment in yielded) > 0.9 * 0.85 * 0.5 * 5.0 * MBIT
 

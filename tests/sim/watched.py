@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 from unittest import mock
 
 from arpd.daemon import scenario
+from arpd.daemon.compare import between
 from arpd.daemon.tick import Daemon
 from arpd.sim.world import SimulatedWorld
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from arpd.daemon.scenario import Moment, ScenarioResult
+    from arpd.daemon.scenario import ScenarioResult
     from arpd.model.allocation import Decision
     from arpd.model.endpoints import PublisherState
     from arpd.model.observation import Observation
@@ -25,20 +26,15 @@ if TYPE_CHECKING:
 MBIT = 125_000.0  # bytes/s
 
 
-def between(result: ScenarioResult, start_s: float, end_s: float) -> list[Moment]:
-    """Return the moments of a span."""
-    return [moment for moment in result.moments if start_s <= moment.t_s < end_s]
-
-
 def goodput(result: ScenarioResult, start_s: float, end_s: float) -> float:
     """Return the payload that reached the base computer in a span (bytes/s)."""
-    first, *_, last = between(result, start_s, end_s)
+    first, *_, last = between(result.moments, start_s, end_s)
     return (last.delivered_bytes - first.delivered_bytes) / (last.t_s - first.t_s)
 
 
 def queues(result: ScenarioResult, start_s: float, end_s: float) -> list[float]:
     """Return how long what entered the link waited, at each moment of a span, the shortest first (s)."""
-    return sorted(moment.queue_delay_s for moment in between(result, start_s, end_s))
+    return sorted(moment.queue_delay_s for moment in between(result.moments, start_s, end_s))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
