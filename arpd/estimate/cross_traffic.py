@@ -42,6 +42,7 @@ class CrossTraffic:
         self._counted: tuple[float, int] | None = None  # when the interface was read last (s), and its bytes
         self._topics: dict[tuple[str, str], _TopicTraffic] = {}
         self._noted: Sequence[PublisherState] | None = None
+        self._told_s = math.inf  # last announcement of the publisher that was silent for longest (s)
         self._relay: tuple[float, RelaySummary] | None = None  # when it was told first (s)
         self._known_from_s = math.inf
         self._rate = 0.0
@@ -59,8 +60,10 @@ class CrossTraffic:
             self._topics = {key: topic for key, topic in self._topics.items() if now_s - topic.told_s <= _MEMORY_S}
             for publisher in observation.publishers:
                 self._note_publisher(publisher, now_s)
-        if self._relay is None and observation.publishers:
-            end_s = min(self._topics[each.node, each.topic].told_s for each in observation.publishers)
+            told_s = (self._topics[each.node, each.topic].told_s for each in observation.publishers)
+            self._told_s = min(told_s, default=math.inf)
+        if self._relay is None:
+            end_s = min(end_s, self._told_s)
         if end_s - _WINDOW_S < self._known_from_s:
             self._rate = 0.0
         else:
@@ -146,19 +149,19 @@ class _Bins:
         self._bytes: dict[int, float] = {}
 
     def add(self, start_s: float, end_s: float, amount: float) -> None:
-        """Spread an amount over a span, or over a moment."""
+        """Spread an amount over a span, or over a moment; at times, forget what is much older."""
         first, last = math.floor(start_s * 10.0), math.floor(end_s * 10.0)
         for each in range(max(first, last - round(10 * _MEMORY_S)), last + 1):
             covered_s = min(end_s, (each + 1) / 10.0) - max(start_s, each / 10.0)
             part = covered_s / (end_s - start_s) if last > first else 1.0
             self._bytes[each] = self._bytes.get(each, 0.0) + part * amount
+        if len(self._bytes) > 20 * _MEMORY_S:
+            self._bytes = {each: amount for each, amount in self._bytes.items() if each > last - 10 * _MEMORY_S}
 
     def before(self, end_s: float) -> float:
-        """Return the bytes of the window before a moment, and forget what is much older."""
+        """Return the bytes of the window before a moment."""
         last = math.floor(end_s * 10.0)
-        first = last - round(10 * _WINDOW_S)
-        self._bytes = {each: amount for each, amount in self._bytes.items() if each > last - 10 * _MEMORY_S}
-        return sum(amount for each, amount in self._bytes.items() if first <= each < last)
+        return sum(self._bytes.get(each, 0.0) for each in range(last - round(10 * _WINDOW_S), last))
 
     def since(self, start_s: float) -> float:
         """Return the bytes since about a moment."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.govern.plan import Move, Wanted
@@ -122,7 +123,7 @@ class Governor:
         self._wanted = Wanted(lasting, topics, publishers, previous=previous, settings=self._settings)
         self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
         self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
-        self._costs = swap_costs(publishers, participants=participants)
+        self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
         self._swaps.fill(now_s, lasting.capacity_bytes_per_second)
 
     def _follow_memory(self) -> str:
@@ -145,7 +146,7 @@ class Governor:
         )
         if less >= (1.0 - _EXCESS) * taken:
             return ""
-        self._swaps.spend(self._costs, (name for name, row in rows.items() if row.qos != self.plan.topics[name].qos))
+        self._swaps.spend(self._costs(), (name for name, row in rows.items() if row.qos != self.plan.topics[name].qos))
         self._take(rows, "memory", self.plan.level_bytes_per_second)
         return "memory"
 
@@ -251,17 +252,17 @@ class Governor:
 
     def _within_budget(self) -> dict[str, TopicPlan]:
         """Return the rows to put into force; where a swap must wait, with the QoS of now. The heaviest go first."""
-        wanted, in_force = self._wanted, self._in_force
+        wanted, in_force, costs = self._wanted, self._in_force, self._costs()
         changed = {name for name, row in wanted.rows.items() if name in in_force and in_force[name].qos != row.qos}
         urgent = {name for name in changed if not wanted.keeps_its_readers(name, in_force[name])}
-        self._swaps.spend(self._costs, urgent)
+        self._swaps.spend(costs, urgent)
         # A silent source gives QoS no basis.
         waiting = sorted(changed - urgent - wanted.silent, key=lambda name: (wanted.rows[name].weight, name))
         if self._now_sharing and self._swaps.has_room:
-            self._swaps.spend(self._costs, waiting)  # topics that are all alike swap together
+            self._swaps.spend(costs, waiting)  # topics that are all alike swap together
             waiting.clear()
         while waiting and self._swaps.has_room:
-            self._swaps.spend(self._costs, (waiting.pop(),))
+            self._swaps.spend(costs, (waiting.pop(),))
         self._owed = frozenset(waiting)
         held = self._owed | ((changed - urgent) & wanted.silent)
         return {

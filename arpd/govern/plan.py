@@ -58,14 +58,7 @@ class _Fit:
         self._period_ns, self._given = row.deadline_ns, row.depth_applied
         offered_ns = max(math.ceil(self._period_ns * slack), self._period_ns + _LEAST_SLACK_NS)
         self._offered_ns = min(offered_ns, _LONGEST_DEADLINE_NS) if self._period_ns else 0
-
-    @property
-    def depth(self) -> int:
-        return self._depth(self._given)
-
-    @property
-    def deadline_ns(self) -> int:
-        return self._deadline_ns(self._offered_ns)
+        self.depth, self.deadline_ns = self._depth(self._given), self._deadline_ns(self._offered_ns)
 
     def move(self, kept: TopicPlan) -> Move:
         """Return where a row should go that now has other QoS; NONE while it is near enough."""

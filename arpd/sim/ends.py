@@ -103,7 +103,7 @@ class SimulatedEnd(SimulatedThread):
             else:
                 break
         self._queue.note_held(now_s)
-        self._wake_by(min(self._queue.sign_s, self._queue.due_s(now_s)))
+        self._alarm.set_by(min(self._queue.sign_s, self._queue.due_s(now_s)))
 
 
 class SimulatedLinkTopic(SimulatedSource):

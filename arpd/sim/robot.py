@@ -101,11 +101,7 @@ class SimulatedThread:
         now_s = self.timeline.now_s
         while (ready := self._queue.take(now_s)) is not None:
             ready.lane.write(ready.sample)
-        self._wake_by(self._queue.due_s(now_s))
-
-    def _wake_by(self, due_s: float) -> None:
-        if due_s < self._alarm.when_s:
-            self._alarm.set(due_s)
+        self._alarm.set_by(self._queue.due_s(now_s))
 
 
 class SimulatedSource:
@@ -241,11 +237,8 @@ class SimulatedPublisher(SimulatedSource):
         return SimulatedWriter(self._socket, back, self.arrivals, qos=qos, heartbeat_s=heartbeat_s)
 
     def _service(self) -> None:
-        if self._socket.is_full:
-            return
-        due_s = self._flow.service(self.timeline.now_s)
-        if due_s < self._alarm.when_s:
-            self._alarm.set(due_s)
+        if not self._socket.is_full:
+            self._alarm.set_by(self._flow.service(self.timeline.now_s))
 
 
 def play_source(

@@ -71,6 +71,11 @@ class Alarm:
         self.when_s = when_s = max(when_s, self._timeline.now_s)
         self._timeline.at(when_s, partial(self._fire, self._setting))
 
+    def set_by(self, when_s: float) -> None:
+        """Move the moment if that is sooner."""
+        if when_s < self.when_s:
+            self.set(when_s)
+
     def _fire(self, setting: int) -> None:
         if setting == self._setting:
             self.when_s = math.inf

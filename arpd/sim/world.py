@@ -265,8 +265,7 @@ class SimulatedWorld:
             received_ns=round((self._stamp_s + _PEER_CLOCK_S) * 1e9),
         )
         self._schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
-        if self._schedule.due_s < self._report_alarm.when_s:
-            self._report_alarm.set(self._schedule.due_s)
+        self._report_alarm.set_by(self._schedule.due_s)
 
     def _look(self) -> None:
         """Send a report if one is due, as `arpd.ros.peer` does."""
