@@ -208,18 +208,17 @@ def _show(plan: Document) -> None:
         f"memory   {used} of {budget} when every history is full",
     ]
     titles = [
-        *(
-            "TOPIC",
-            "WEIGHT",
-            "PAYLOAD\nB",
-            "MINIMUM\nHZ",
-            "DESIRED\nHZ",
-            "RATE\nHZ",
-            "LINK\n%",
-            "DEADLINE\nMS",
-            "DEPTH",
-        ),
-        *("RATE\nBOUND BY", "DEPTH\nBOUND BY"),
+        "TOPIC",
+        "WEIGHT",
+        "PAYLOAD\nB",
+        "MINIMUM\nHZ",
+        "DESIRED\nHZ",
+        "RATE\nHZ",
+        "LINK\n%",
+        "DEADLINE\nMS",
+        "DEPTH",
+        "RATE\nBOUND BY",
+        "DEPTH\nBOUND BY",
     ]
     total = [f"total of {len(rows)}", "", "", "", *(_four(sum(row[key] for row in rows)) for key in _SUMMED)]
     total += [f"{100 * plan['share']:.1f}", "", "", "", ""]

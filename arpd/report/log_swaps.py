@@ -35,8 +35,11 @@ class SwapLog:
 
     def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
-        publishers = sorted(snapshot.observation.publishers, key=lambda publisher: (publisher.topic, publisher.node))
-        told = [event for publisher in publishers for event in self._of(publisher)]
+        publishers = snapshot.observation.publishers
+        told = sorted(
+            (event for publisher in publishers for event in self._of(publisher)),
+            key=lambda event: (event.topic, event.node),
+        )
         here = {(publisher.node, publisher.topic) for publisher in publishers}
         self._numbers = {identity: self._numbers[identity] for identity in here}
         self._refused = {identity: reasons for identity, reasons in self._refused.items() if identity in here}

@@ -28,7 +28,7 @@ _T = TypeVar("_T")
 _HIDDEN = {
     "Allocation": {"topics", "price"},
     "PublisherState": {"announced_at_s"},
-    "Totals": {"durations", "solves_by_outcome"},
+    "Totals": {"solves_by_outcome"},
 }
 _MAY_BE_INFINITE = {"age_s", "paced_rate_hz", "queue_delay_s", "rate_hz", "share_per_weight"}
 

@@ -149,11 +149,6 @@ def sample_of(number: int, payload_bytes: int) -> bytes:
     return b"\x00\x01\x00\x00" + length + b"%010d" % number + b"x" * (payload_bytes - 10) + b"\x00"
 
 
-def number_of(sample: bytes) -> int:
-    """Return the number in a sample `sample_of` made."""
-    return int(sample[8:18])
-
-
 @contextlib.contextmanager
 def spinning(executor: Any) -> Iterator[None]:
     """Spin an executor in a thread of its own, past callbacks that fail; leaving the block ends the thread."""
