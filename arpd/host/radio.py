@@ -48,7 +48,7 @@ def transmit_rate(interface: str) -> float:
 
     It is the rate of the fastest station, because any of them may be the peer and the bound must hold.
     """
-    return _told("GET_STATION", "a bit rate", interface, _fastest)
+    return _told("GET_STATION", "bit rate", interface, _fastest)
 
 
 def power_save(interface: str) -> bool:
@@ -58,13 +58,13 @@ def power_save(interface: str) -> bool:
 
 def signal(interface: str) -> int:
     """Return the strength of a radio's access point, or of the strongest station (dBm)."""
-    return _told("GET_STATION", "a signal", interface, _strongest)
+    return _told("GET_STATION", "signal", interface, _strongest)
 
 
 def region(interface: str) -> str:
     """Return two letters of the regulatory domain in force, ``00`` = none is set."""
     radio = read_number(SYS_NET / interface / "phy80211/index")
-    return _told("GET_REG", "a regulatory domain", interface, lambda answers: _region_of(answers, radio=radio))
+    return _told("GET_REG", "regulatory domain", interface, lambda answers: _region_of(answers, radio=radio))
 
 
 def runs_network_manager() -> bool:
@@ -79,10 +79,9 @@ def _told(command: str, what: str, interface: str, read: Callable[[Sequence[Any]
     try:
         found = read(_ask(command, index))
     except Exception as error:  # noqa: BLE001 - permission, driver or pyroute2; the other facts may still be known
-        what = what.removeprefix("a ")
         raise NotKnownError(f"nl80211 does not tell the {what} ({type(error).__name__}: {error})") from None
     if found is None:
-        raise NotKnownError(f"the radio tells no {what.removeprefix('a ')} now")
+        raise NotKnownError(f"the radio tells no {what} now")
     return found
 
 

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason, Record, Request
 from arpd.relay.ends.offers import ServiceOffer
-from arpd.relay.ends.services import AT_ONCE, GhostServer, LocalClient, failed_response
+from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, service_class
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _STEP_S, _BURST_S = 0.1, 0.02  # between steps; and while more waits than a server or a client may get at once
+_AT_ONCE = 5  # messages that one server or client gets between steps: their own histories have ten places
 _LOOK_S = 0.5
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
 _REFUSED = (UnknownTypeError, InvalidServiceNameException, NameValidationException, RuntimeError, ValueError)
@@ -138,7 +139,7 @@ class Calls:
             endpoint, owner, message = each
             if isinstance(owner, CallId) and not self._book.runs(owner):
                 continue  # given up before it left
-            if endpoint.is_ready(now_s) and self._sent[endpoint] < AT_ONCE:
+            if endpoint.is_ready(now_s) and self._sent[endpoint] < _AT_ONCE:
                 self._sent[endpoint] += 1
                 endpoint.send(owner, message)
             else:

@@ -142,7 +142,7 @@ class Prefixed(Outgoing):
             for topic, types in self.several_types().items()
             if topic not in refused
         }
-        silent = [topic for topic in self._outputs if topic not in refused.keys() | self.offers]
+        silent = [topic for topic in self._outputs if topic not in refused and topic not in self.offers]
         status = prefix_line(topics=len(self._outputs), silent=silent, refused=refused, ignored=ignored)
         if status != self._status:
             self._status = status
@@ -152,8 +152,8 @@ class Prefixed(Outgoing):
         """Return why a topic must not be carried, in words; empty if it may."""
         output = self._outputs[topic]
         if topic not in self.offers:
-            types = self.several_types().get(topic, ())
-            return f"it has more than one type: {', '.join(types)}" if types else ""
+            types = self._topics[topic].types
+            return f"it has more than one type: {', '.join(types)}" if len(types) > 1 else ""
         if output in self._inputs:
             return f"its output {output} is carried too, so messages would loop; remove the remapping rule"
         readers = {reader.node for reader in self._view.readers(output) if reader.node}

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from arpd.relay.ends.offers import ServiceOffer
     from arpd.ros.raw_reader import ReadingThread
 
-#: Messages that one server or client gets at a time: their own histories have ten places.
-AT_ONCE = 5
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
 _QOS = QoSProfile(depth=100)
 _SETTLED_S = 0.3  # for a server to match a client: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
@@ -50,14 +48,12 @@ class GhostServer:
         self._event = thread.watch(self)
 
     def read(self) -> bool:
-        """Take some requests; return whether that was all."""
-        for _ in range(AT_ONCE):
-            with self.handle:
-                request, header = self.handle.service_take_request(self.kind.Request)
-            if header is None:
-                return True
+        """Take a request; return whether there was none."""
+        with self.handle:
+            request, header = self.handle.service_take_request(self.kind.Request)
+        if header is not None:
             self._on_request(request, header)
-        return False
+        return header is None
 
     def is_ready(self, _now_s: float) -> bool:
         """Return whether a response may leave."""
@@ -101,15 +97,12 @@ class LocalClient:
         self._event = thread.watch(self)
 
     def read(self) -> bool:
-        """Take some responses; return whether that was all."""
-        for _ in range(AT_ONCE):
-            with self.handle:
-                header, response = self.handle.take_response(self.kind.Response)
-            if header is None:
-                return True
-            if (call := self._running.pop(header.request_id.sequence_number, None)) is not None:
-                self._on_response(call, response)
-        return False
+        """Take a response; return whether there was none."""
+        with self.handle:
+            header, response = self.handle.take_response(self.kind.Response)
+        if header is not None and (call := self._running.pop(header.request_id.sequence_number, None)) is not None:
+            self._on_response(call, response)
+        return header is None
 
     def is_ready(self, now_s: float) -> bool:
         """Return whether a request may leave: the server must know this client, also after its restart."""
