@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from arpd.cli.client import connect
-from arpd.cli.options import DEFAULT_URL, read_address
+from arpd.cli.options import DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
 from arpd.host.interface import index_of, likeliest_interface, list_interfaces
@@ -87,8 +87,9 @@ class Here:
             return NotKnownError("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
         http, address = self.settings.http, self._options.url
         if address.url == DEFAULT_URL:
-            host = "127.0.0.1" if http.host in _ANY else f"[{http.host}]" if ":" in http.host else http.host
-            address = read_address(f"http://{host}:{http.port}")
+            host = "127.0.0.1" if http.host in _ANY else http.host
+            url = f"http://{f'[{host}]' if ':' in host else host}:{http.port}"
+            address = Address(url, host, url)
         try:
             with connect(self._options, address) as daemon:
                 return daemon.status() or NotKnownError(f"the daemon at {address.url} has not finished a tick")

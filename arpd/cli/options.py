@@ -39,7 +39,7 @@ def add_config(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
 def config_of(options: argparse.Namespace) -> Path | None:
     """Return the file of ``--config``, None where the installed one is missing and nobody named another."""
     config: Path = options.config
-    return None if config == DEFAULT_CONFIG and not config.exists() else config
+    return None if config is DEFAULT_CONFIG and not config.exists() else config  # the same path given is another object
 
 
 def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None:

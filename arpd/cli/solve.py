@@ -63,6 +63,7 @@ what a rate or depth is bound by:
   max depth        max_depth            memory    program.memory_budget"""
 _PAPER, _OWN = ("rmax", "sensing", "actuation"), ("config", "capacity")
 _SUMMED = ("desired_rate_hz", "rate_hz")
+_LIMITS: Document = {"rmin": 1.0, "dmin": 1, "dmax": 5000}
 _BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
 
 
@@ -72,9 +73,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     paper.add_argument("--rmax", type=float, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
     paper.add_argument("--sensing", type=topics, metavar="N", help="topics from the robot, SPt")
     paper.add_argument("--actuation", type=topics, metavar="N", help="topics to the robot, PAAt")
-    paper.add_argument("--rmin", type=float, metavar="HZ", default=1.0, help="Rmin (Hz, default 1)")
-    paper.add_argument("--dmin", type=int, metavar="N", default=1, help="Dmin (samples, default 1)")
-    paper.add_argument("--dmax", type=int, metavar="N", default=5000, help="Dmax (samples, default 5000)")
+    paper.add_argument("--rmin", type=float, metavar="HZ", help="Rmin (Hz, default 1)")
+    paper.add_argument("--dmin", type=int, metavar="N", help="Dmin (samples, default 1)")
+    paper.add_argument("--dmax", type=int, metavar="N", help="Dmax (samples, default 5000)")
     own = parser.add_argument_group("your topics, offline")
     own.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
     own.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
@@ -83,8 +84,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _solve(options: argparse.Namespace) -> int:
-    paper, own = ([getattr(options, name) for name in names] for names in (_PAPER, _OWN))
-    if any(value is not None for value in own) == any(value is not None for value in paper):
+    paper, own, limits = ([getattr(options, name) for name in names] for names in (_PAPER, _OWN, _LIMITS))
+    if any(value is not None for value in own) == any(value is not None for value in (*paper, *limits)):
         raise UsageError(_BOTH_MODES)
     if None in paper and None in own:
         raise UsageError(f"something is missing; {_BOTH_MODES}")
@@ -93,13 +94,14 @@ def _solve(options: argparse.Namespace) -> int:
 
 def _solve_paper(options: argparse.Namespace) -> int:
     asked = Backend(options.backend or Backend.OSQP)
+    rmin, dmin, dmax = (usual if (own := getattr(options, name)) is None else own for name, usual in _LIMITS.items())
     try:
         problem = Eq4Problem(
             max_rate_hz=options.rmax,
             topics=options.sensing + options.actuation,
-            min_rate_hz=options.rmin,
-            min_depth=options.dmin,
-            max_depth=options.dmax,
+            min_rate_hz=rmin,
+            min_depth=dmin,
+            max_depth=dmax,
         )
     except ValueError as error:
         raise UsageError(str(error)) from error

@@ -27,6 +27,7 @@ _PROC_ROUTE = Path("/proc/net/route")
 _GET_FLAGS = 0x8913
 _REQUEST = struct.Struct("16sH22x")  # name, flags
 _UP, _RUNNING = 0x1, 0x40
+_UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
 
 
 def list_interfaces() -> list[str] | None:
@@ -195,9 +196,12 @@ class InterfaceReader:
             self._note(logging.WARNING, f"the link interface {self.name} is not there yet; arpd waits for it")
 
 
-def read_memory() -> MemoryState:
-    """Return the host's memory, in all and for new work."""
-    memory = psutil.virtual_memory()
+def read_memory(before: MemoryState = _UNKNOWN) -> MemoryState:
+    """Return the host's memory, in all and for new work; what was read before while the kernel does not answer."""
+    try:
+        memory = psutil.virtual_memory()
+    except (OSError, ValueError):
+        return before
     return MemoryState(total_bytes=memory.total, available_bytes=memory.available)
 
 

@@ -75,7 +75,7 @@ class LinkSettings(Section):
     packet_overhead_s : pinned t_ovh, link time of a packet beyond its bytes; None = estimate (s)
     """
 
-    interface: Annotated[str, Field(min_length=1, max_length=15)] = AUTO
+    interface: Annotated[str, Field(pattern=r"^[!-.0-9;-~]{1,15}$")] = AUTO
     capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit"), OrWord(AUTO)] = None
     initial_capacity_bytes_per_second: Annotated[float, rate("8kbit", "100gbit")] = 2.5e6
     headroom: Annotated[float, Field(ge=0.05, le=1)] = 0.85
@@ -130,7 +130,7 @@ class HttpSettings(Section):
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
-    web_config: Annotated[str | None, Field(min_length=1), OrWord(NONE)] = None
+    web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]{1,4096}$"), OrWord(NONE)] = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -129,5 +129,6 @@ def _is_possible(train: Train) -> bool:
         0 <= train.duration_s < _MOST_INTERVAL_S
         and 0 <= train.sent_s < _MOST_INTERVAL_S
         and train.packets <= _MOST_PACKETS
+        and train.payload_bytes <= _MOST_PACKETS * _MOST_PACKET_BYTES
         and (train.payload_bytes <= _MOST_BYTES_PER_SECOND * train.duration_s or not train.duration_s)
     )

@@ -242,7 +242,7 @@ class RosControl:
         radio_s = -math.inf
         while self._node.context.ok():
             try:
-                self._memory = read_memory()
+                self._memory = read_memory(self._memory)
                 self._read_graph()
                 if time.monotonic() >= radio_s:
                     radio_s = time.monotonic() + _RADIO_S

@@ -83,7 +83,7 @@ class Calls:
         self._stepped_s = self._look_s = time.monotonic()
         self._logged = OncePerMinute()
         self._arrived: deque[tuple[int, bytes]] = deque()  # records of the other end, and its session
-        self._waiting: list[tuple[GhostServer | LocalClient, Any, Any]] = []  # messages, and what each belongs to
+        self._waiting: deque[tuple[GhostServer | LocalClient, Any, Any]] = deque()  # messages, and what each belongs to
         self._sent: Counter[GhostServer | LocalClient] = Counter()  # since the last step
         self.offered: tuple[Mapping[str, ServiceOffer], int | None] = {}, None
         self.offers: Mapping[str, ServiceOffer] = {}
@@ -134,16 +134,27 @@ class Calls:
         self._release()
 
     def _release(self) -> None:
-        waiting, self._waiting, now_s = self._waiting, [], time.monotonic()
-        for each in waiting:
-            endpoint, owner, message = each
-            if isinstance(owner, CallId) and not self._book.runs(owner):
-                continue  # given up before it left
-            if endpoint.is_ready(now_s) and self._sent[endpoint] < _AT_ONCE:
-                self._sent[endpoint] += 1
-                endpoint.send(owner, message)
-            else:
-                self._waiting.append(each)
+        now_s, kept = time.monotonic(), []
+        try:
+            while self._waiting:
+                endpoint, owner, message = each = self._waiting.popleft()
+                if isinstance(owner, CallId) and not self._book.runs(owner):
+                    continue  # given up before it left
+                if endpoint.is_ready(now_s) and self._sent[endpoint] < _AT_ONCE:
+                    self._sent[endpoint] += 1
+                    self._hand_over(endpoint, owner, message)
+                else:
+                    kept.append(each)
+        finally:  # one that cannot be sent keeps no other
+            self._waiting.extendleft(reversed(kept))
+
+    def _hand_over(self, endpoint: GhostServer | LocalClient, owner: Any, message: Any) -> None:
+        try:
+            endpoint.send(owner, message)
+        except _REFUSED as error:
+            if not isinstance(owner, CallId):
+                raise
+            self._fail(owner, FailureReason.TYPE, f"the middleware says: {error}")
 
     # -- calls of this side
 
@@ -212,7 +223,7 @@ class Calls:
         for endpoint, header, response in self._waiting:
             if endpoint is ghost:
                 ghost.send(header, response)
-        self._waiting = [each for each in self._waiting if each[0] is not ghost]
+        self._waiting = deque(each for each in self._waiting if each[0] is not ghost)
         ghost.destroy()
 
     def _call(self, name: str, message: Any, header: Any) -> None:

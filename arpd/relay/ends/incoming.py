@@ -96,10 +96,12 @@ class Incoming:
                 kinds[name] = _class_of(offer)
             except UnknownTypeError as fault:
                 self.refused[name] = str(fault)
+        present = {writer_key(writer.gid) for offer in offers.values() for writer in offer.writers}
         with self._lock:
             for key, ghost in [*self._ghosts.items()]:
                 name, offer = ghost.topic, offers.get(ghost.topic, ghost.offer)
-                ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)  # unless it is among those below
+                if key not in present:
+                    ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)
                 if name in refused or name in self.refused or offer.type_name != ghost.offer.type_name:
                     self._remove(key)
             for name, kind in kinds.items():

@@ -112,6 +112,13 @@ def test_the_units_in_use_tell_the_end(doctor, computer, units, end):
     assert healths(out)["configuration"] == ("fine" if end == "base" else "wrong")
 
 
+def test_a_daemon_without_a_port_is_not_known(run, config):
+    """The file may give it none, so nobody can ask it."""
+    code, out, err = run("doctor", "--json", "--config", config("http: {port: 0}\n"))
+    assert (code, err) == (0, "")
+    assert {check for check, health in healths(out).items() if health == "unknown"} == {"clock", "profile", "versions"}
+
+
 @pytest.mark.parametrize("why", ["told not to", "no interface", "no domain"])
 def test_what_cannot_be_listened_to_is_not_known(doctor, computer, monkeypatch, why):
     """Nor does anything else fail for it."""

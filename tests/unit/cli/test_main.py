@@ -43,6 +43,7 @@ TOPICS = "--sensing 11 --actuation 0"
         ("solve --rmax 100 --sensing 0 --actuation 0", "arpd"),
         (f"solve --rmax 100 {TOPICS} --dmin 9 --dmax 3", "arpd"),
         ("solve --rmax 100 --config x", "--rmax"),
+        ("solve --config x --capacity 5mbit --rmin 5", "--rmax"),
         ("solve --capacity 5mbit", "--config"),
         ("solve --config x", "--capacity"),
         ("solve --config x --capacity 5", "--capacity"),

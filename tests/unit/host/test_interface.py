@@ -7,6 +7,7 @@ import pytest
 
 from arpd.host import interface
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.observation import MemoryState
 
 UP, DOWN = True, False
 ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
@@ -129,10 +130,12 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
 
-    for name in ("net_if_addrs", "net_io_counters"):
+    for name in ("net_if_addrs", "net_io_counters", "virtual_memory"):
         monkeypatch.setattr(psutil, name, refuse)
     for name in ("socket", "if_nameindex", "if_nametoindex"):
         monkeypatch.setattr(socket, name, refuse)
     assert (interface.read_counters("lo"), interface.ipv4_addresses()) == (None, {})
     assert (interface.likeliest_interface(), interface.list_interfaces()) == (None, None)
     assert interface.InterfaceReader("auto").read() is None
+    before = MemoryState(total_bytes=8, available_bytes=3)
+    assert interface.read_memory(before) == before
