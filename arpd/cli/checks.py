@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.cli.here import Here
+    from arpd.web.api import Peer
 
 _MOST_OFFSET_S = 0.02  # a robot that turns at 1 rad/s is 1.1° further on by then
 _LEAST_SIGNAL_DBM = -75
@@ -87,17 +88,23 @@ def wrong(text: str, *remedies: str) -> Finding:
 
 
 def clock(here: Here) -> Finding:
-    """Judge the offset between the ends, that of the peer whose clock is surely farthest off."""
-    offsets = [(peer.peer, peer.clock.offset_s, peer.clock.uncertainty_s) for peer in here.status.peers if peer.clock]
-    if not offsets:
+    """Judge the offset between the ends: that of the peer that is worst, and of such ones the farthest off."""
+    if not any(peer.clock for peer in here.status.peers):
         raise NotKnownError("no peer answered a probe in the last 30 s; run `arpd peer` on the base computer")
-    peer, offset_s, error_s = max(offsets, key=lambda one: abs(one[1]) - one[2])
-    found = f"the clock of {peer} is {format_duration(abs(offset_s))} {'ahead of' if offset_s > 0 else 'behind'} "
+    farthest_first = sorted(here.status.peers, key=lambda peer: -abs(peer.clock.offset_s if peer.clock else 0.0))
+    return max(map(_clock_of, farthest_first), key=lambda found: ("fine", "unknown", "wrong").index(found.health))
+
+
+def _clock_of(peer: Peer) -> Finding:
+    if peer.clock is None:
+        return Finding("unknown", f"{peer.peer} answered no probe in the last 30 s")
+    offset_s, error_s = peer.clock.offset_s, peer.clock.uncertainty_s
+    found = f"the clock of {peer.peer} is {format_duration(abs(offset_s))} {'ahead of' if offset_s > 0 else 'behind'} "
     found += f"the robot's (± {format_duration(error_s)})"
     if abs(offset_s) - error_s > _MOST_OFFSET_S:
         return wrong(f"{found}: tf2 finds poses of another time, or none", *_KEEP_THE_CLOCK)
     if abs(offset_s) + error_s > _MOST_OFFSET_S:
-        raise NotKnownError(f"{found}, too vague to judge; look again while the link is idle")
+        return Finding("unknown", f"{found}, too vague to judge; look again while the link is idle")
     return fine(found)
 
 

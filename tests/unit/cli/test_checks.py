@@ -24,9 +24,9 @@ def health(check, *arguments, **options):
 # -- from what the daemon, systemd and the network tell
 
 
-def peer(offset_s, uncertainty_s):
-    offset = None if offset_s is None else ClockOffset(offset_s=offset_s, uncertainty_s=uncertainty_s)
-    return Namespace(status=Namespace(peers=[Namespace(peer="base", clock=offset)]))
+def peers(*clocks):
+    offsets = [clock and ClockOffset(offset_s=clock[0], uncertainty_s=clock[1]) for clock in clocks]
+    return Namespace(status=Namespace(peers=[Namespace(peer="base", clock=offset) for offset in offsets]))
 
 
 def announcer(process="talker", *, host="laptop", is_here=False, is_arpds=False, transports=()):
@@ -53,11 +53,13 @@ def unit(active, **fields):
 @pytest.mark.parametrize(
     ("check", "here", "expected"),
     [
-        (checks.clock, peer(-0.015, 0.004), "fine"),
-        (checks.clock, peer(-5.0, 0.5), "wrong"),
-        (checks.clock, peer(0.03, 0.02), "unknown"),
-        (checks.clock, peer(0.0, 0.1), "unknown"),
-        (checks.clock, peer(None, None), "unknown"),
+        (checks.clock, peers((-0.015, 0.004)), "fine"),
+        (checks.clock, peers((-5.0, 0.5)), "wrong"),
+        (checks.clock, peers((0.03, 0.02)), "unknown"),
+        (checks.clock, peers((0.0, 0.1)), "unknown"),
+        (checks.clock, peers(None), "unknown"),
+        (checks.clock, peers((0.001, 0.001), None), "unknown"),
+        (checks.clock, peers(None, (-5.0, 0.5), (0.0, 0.1)), "wrong"),
         # With two ends nobody else needs to be on the link; with one, nodes meet across it.
         (checks.discovery, hears(OWN, has_two_ends=True), "fine"),
         (checks.discovery, hears(OWN, NODE, has_two_ends=True), "wrong"),
