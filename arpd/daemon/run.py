@@ -89,7 +89,6 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         world = RosControl(
             node,
             interface=link,
-            graph=settings.graph,
             on_report=signals.wakeup.set,
             has_two_ends=link_domain is not None,
         )

@@ -226,7 +226,6 @@ class _Run:
             publishers=self._publishers,
             end=self._end,
             random=self._random("world"),
-            graph=scenario.settings.graph,
             on_report=wake,
             into_peer=scenario.into_peer,
             has_peer=scenario.has_peer,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import time
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arpd import __version__
 from arpd.daemon.record import Record
@@ -148,7 +148,8 @@ class Daemon:
         return self._planned.decision
 
     def _observe(self, now_s: float) -> Observation:
-        seen = self._world.observe(now_s)
+        pinned: dict[str, Any] = {name: n for name, n in asdict(self.settings.graph).items() if n is not None}
+        seen = replace(self._world.observe(now_s), **pinned)
         if self._began_s is None:
             self._began_s = now_s
         if seen.counters is not None:
@@ -267,19 +268,10 @@ class Daemon:
         return self.configuration.reload(load, take=self._take)
 
     def _take(self, fresh: Settings) -> None:
-        """Bring settings into force everywhere, or nowhere."""
-        program = Program(fresh, clock=self._clock, outcomes=self._program.outcomes)
-        try:
-            self._reconfigure(fresh)
-        except BaseException:
-            self._reconfigure(self.settings)
-            raise
-        self._program = program
-
-    def _reconfigure(self, settings: Settings) -> None:
-        self._world.reconfigure(settings.graph)
-        self._estimator.reconfigure(settings.link)
-        self._governor.reconfigure(settings)
+        """Bring settings into force everywhere, or nowhere: only a program could refuse them, so it comes first."""
+        self._program = Program(fresh, clock=self._clock, outcomes=self._program.outcomes)
+        self._estimator.reconfigure(fresh.link)
+        self._governor.reconfigure(fresh)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
         """Give every publisher its application's QoS back; see `arpd.daemon.restore.restore`.

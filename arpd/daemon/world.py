@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
-    from arpd.model.settings import GraphSettings
 
 
 class World(Protocol):
@@ -37,9 +36,6 @@ class World(Protocol):
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
-
-    def reconfigure(self, graph: GraphSettings) -> None:
-        """Take new pinned topic counts."""
 
     def results(self) -> Mapping[str, int]:
         """Count the answers to plans, by result."""

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import PeerReport, ProbeRequest
-    from arpd.model.settings import GraphSettings
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
@@ -68,7 +67,6 @@ class RosControl:
     ----------
     node : rclpy node
     interface : the robot's link interface
-    graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     has_two_ends : whether a relay with two ends is configured, whose end on this host tells of it
 
@@ -82,7 +80,6 @@ class RosControl:
         node: Any,
         *,
         interface: str,
-        graph: GraphSettings,
         on_report: Callable[[], None],
         has_two_ends: bool = False,
     ) -> None:
@@ -96,7 +93,6 @@ class RosControl:
         self._memory = read_memory()
         self._radio_rate: float | None = None
         self._radio_fault = ""
-        self._graph_settings = graph
         self._on_report_arrived = on_report
         self._reports = PeerReports(secrets.randbelow(2**32))
         self._snapshots: deque[tuple[bytes, NodeSnapshot, float]] = deque(maxlen=_MOST_SNAPSHOTS)  # with their arrival
@@ -127,10 +123,6 @@ class RosControl:
         # The tick must stay short, and so must the reading of messages.
         threading.Thread(target=self._look_around, name="arpd-looking", daemon=True).start()
 
-    def reconfigure(self, graph: GraphSettings) -> None:
-        """Take new pinned topic counts."""
-        self._graph_settings = graph
-
     # -- observe
 
     def observe(self, now_s: float) -> Observation:
@@ -140,17 +132,15 @@ class RosControl:
         graph = self._graph
         self._nodes.see(graph)
         publishers = self._join(now_s)
-        pinned = self._graph_settings
         relay = self._nodes.relay(now_s) if self._has_two_ends else None
-        sensing, actuation = graph.topics[Direction.SENSING], graph.topics[Direction.ACTUATION]
         return Observation(
             now_s=now_s,
             counters=self._reader.read(),
             reports=reports,
             publishers=publishers,
             memory=self._memory,
-            sensing_topics=sensing if pinned.sensing_topics is None else pinned.sensing_topics,
-            actuation_topics=actuation if pinned.actuation_topics is None else pinned.actuation_topics,
+            sensing_topics=graph.topics[Direction.SENSING],
+            actuation_topics=graph.topics[Direction.ACTUATION],
             peers=graph.peers,
             rmw=self._rmw.name,
             rmw_refusal=self._rmw.refusal,

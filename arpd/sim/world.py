@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import ProbeRequest
-    from arpd.model.settings import GraphSettings
     from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
     from arpd.sim.link import ForeignFlow, SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
@@ -70,7 +69,6 @@ class SimulatedWorld:
     up, down : the link, from and to the robot
     publishers : publishers that the daemon manages
     random : source of phases and jitter
-    graph : pinned topic counts
     on_report : called when a peer report arrives, so that a tick can follow at once
     into_peer : other traffic that the peer's interface receives
     has_peer : whether a peer receives probes and sends reports
@@ -89,13 +87,12 @@ class SimulatedWorld:
         down: SimulatedLink,
         publishers: Sequence[Managed],
         random: Random,
-        graph: GraphSettings,
         on_report: Callable[[], None],
         into_peer: Sequence[ForeignFlow] = (),
         has_peer: bool = True,
         end: SimulatedEnd | None = None,
     ) -> None:
-        self._timeline, self._random, self._graph = timeline, random, graph
+        self._timeline, self._random = timeline, random
         self._up, self._down, self._into_peer, self._has_peer = up, down, into_peer, has_peer
         self._end = end
         self._relay: RelaySummary | None = None
@@ -133,7 +130,6 @@ class SimulatedWorld:
     def observe(self, now_s: float) -> Observation:
         """Return the observation of one tick."""
         reports, self._reports = tuple(self._reports), []
-        pinned = self._graph
         return Observation(
             now_s=now_s,
             counters=self._counters(),
@@ -142,10 +138,8 @@ class SimulatedWorld:
                 state for node in self._nodes if now_s - node.announced_at_s <= SILENT_S for state in node.announced
             ),
             memory=MemoryState(total_bytes=4 * 2**30, available_bytes=2 * 2**30),
-            sensing_topics=self._counts[Direction.SENSING] if pinned.sensing_topics is None else pinned.sensing_topics,
-            actuation_topics=(
-                self._counts[Direction.ACTUATION] if pinned.actuation_topics is None else pinned.actuation_topics
-            ),
+            sensing_topics=self._counts[Direction.SENSING],
+            actuation_topics=self._counts[Direction.ACTUATION],
             peers=None if self._has_peer else 0,
             peer_ages_s={_PEER: now_s - self._reported_s} if now_s - self._reported_s <= FORGOTTEN_S else {},
             relay=self._relay,
@@ -192,10 +186,6 @@ class SimulatedWorld:
             sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
             arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else _nobody
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
-
-    def reconfigure(self, graph: GraphSettings) -> None:
-        """Take new pinned topic counts."""
-        self._graph = graph
 
     def results(self) -> Mapping[str, int]:
         """Return the answers to plans, by result."""

@@ -44,7 +44,7 @@ class Solver:
         try:
             if backend is not Backend.CLOSED_FORM:
                 self._library = import_module(f"arpd.solve.{backend}_")
-        except ImportError as error:
+        except Exception as error:  # noqa: BLE001 - of an installation that does not fit, a library may raise anything
             self._note(f"cannot be used ({error})")
 
     def level(self, weights: Column, low: Column, high: Column, budget: float) -> tuple[float, Backend | None]:

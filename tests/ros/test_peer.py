@@ -9,7 +9,6 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.host.interface import InterfaceReader
 from arpd.model.probing import ProbeRequest
-from arpd.model.settings import GraphSettings
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
@@ -25,7 +24,7 @@ class Daemon:
     """The other side: it sends probes, and keeps the reports."""
 
     def __init__(self, node):
-        self.control = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None)
+        self.control = RosControl(node, interface="lo", on_report=lambda: None)
         self._numbers = count(1)
 
     def probe(self):

@@ -16,7 +16,6 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
-from arpd.model.settings import GraphSettings
 from arpd.relay.ends.offers import ServiceOffer, TopicOffer, WriterOffer, decode_state
 from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, writer_key
 from arpd.ros.names import PUBLISHERS_TOPIC
@@ -431,7 +430,7 @@ def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world,
     assert writer.get_subscription_count() == 0
     ends.start("base")
     node = ends.link_side().node("arpd")
-    daemon = RosControl(node, interface="lo", graph=GraphSettings(), on_report=lambda: None, has_two_ends=True)
+    daemon = RosControl(node, interface="lo", on_report=lambda: None, has_two_ends=True)
     talking(Counter(ends.side("robot").node("sensor"), String, "/chatter", 10))
     listen(ends.side("base").node("planner"), "/chatter")
 

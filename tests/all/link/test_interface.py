@@ -58,7 +58,7 @@ from arpd.ros.runtime import control_node
 from arpd.model.settings import GraphSettings
 
 with control_node("arpd") as node:
-    world = RosControl(node, interface=sys.argv[1], graph=GraphSettings(), on_report=lambda: None)
+    world = RosControl(node, interface=sys.argv[1], on_report=lambda: None)
     heard = number = 0
     while True:
         seen = world.observe(time.monotonic())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from arpd.model.observation import MemoryState
-from arpd.model.settings import GraphSettings
 from tests.sample_link import INTERFACE, observation
 
 
@@ -19,9 +18,9 @@ class World:
     sees : what the daemon observes besides
     """
 
-    def __init__(self, *publishers, graph=None, takes_s=0.0, deaf=(), **sees):
+    def __init__(self, *publishers, takes_s=0.0, deaf=(), **sees):
         self.publishers = {each.topic: each for each in publishers}
-        self.graph, self.takes_s, self.deaf = graph or GraphSettings(), takes_s, deaf
+        self.takes_s, self.deaf = takes_s, deaf
         self.sees = {"memory": MemoryState(total_bytes=2**33, available_bytes=2**32), **sees}
         self.prices, self.probes = [], []
         self.sent = []  # nodes and rows
@@ -31,10 +30,8 @@ class World:
         for _, plan, lease_s in (due for due in self._due if due[0] <= now_s):
             self._take(plan, lease_s)
         self._due = [due for due in self._due if due[0] > now_s]
-        counts = {"sensing_topics": self.graph.sensing_topics, "actuation_topics": self.graph.actuation_topics}
-        pinned = {name: count for name, count in counts.items() if count is not None}
         publishers = tuple(self.publishers.values())
-        return observation(now_s, counters=INTERFACE, publishers=publishers, **{**self.sees, **pinned})
+        return observation(now_s, counters=INTERFACE, publishers=publishers, **self.sees)
 
     def apply(self, plan, *, lease_s, missing, now_s):
         for node in missing:
@@ -60,9 +57,6 @@ class World:
 
     def probe(self, request):
         self.probes.append(request)
-
-    def reconfigure(self, graph):
-        self.graph = graph
 
     def results(self):
         return {}
