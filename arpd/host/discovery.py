@@ -102,7 +102,7 @@ def _announcer(address: str, properties: dict[str, str], transports: set[str], o
     program = _program(number) if is_here else Path()
     return Announcer(
         host=properties.get(_HOST, "").rpartition(":")[0] or address,
-        process=program.name or f"process {number or 'unknown'}",
+        process=printable(program.name, longest=_MOST_NAME) or f"process {number or 'unknown'}",
         is_here=is_here,
         # In a workspace of colcon it is lib/arpd/relay.
         is_arpds=program.name.partition(".")[0] == "arpd" or program.parts[-3:-1] == ("lib", "arpd"),
@@ -113,11 +113,14 @@ def _announcer(address: str, properties: dict[str, str], transports: set[str], o
 def _program(number: str) -> Path:
     """Return what a process of this computer runs; where that is Python, the script or the module."""
     try:
-        words = [word for word in psutil.Process(int(number)).cmdline() if word and not word.startswith("-")]
+        program, *words = filter(None, psutil.Process(int(number)).cmdline())
     except (psutil.Error, ValueError, OverflowError):
         return Path()
-    is_script = len(words) > 1 and Path(words[0]).name.startswith("python")
-    return Path(*(printable(word, longest=_MOST_NAME) for word in words[is_script:][:1]))
+    if Path(program).name.startswith("python"):
+        # What follows -c is code, and no name.
+        script = next((word for word in words if word == "-c" or not word.startswith("-")), "-c")
+        program = program if script == "-c" else script
+    return Path(program)
 
 
 def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:

@@ -7,13 +7,14 @@ import logging
 import os
 import socket
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import psutil
 
 from arpd.host.netlink import read_backlog
-from arpd.model.interface import InterfaceState, LinkCounters, continue_counters, state_of
+from arpd.model.interface import InterfaceState, LinkCounters, state_of
 from arpd.model.observation import MemoryState
 from arpd.model.settings import AUTO
 
@@ -27,6 +28,7 @@ _PROC_ROUTE = Path("/proc/net/route")
 _GET_FLAGS = 0x8913
 _REQUEST = struct.Struct("16sH22x")  # name, flags
 _UP, _RUNNING = 0x1, 0x40
+_COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 _UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
 
 
@@ -51,14 +53,23 @@ def likeliest_interface() -> str | None:
 
     It is a wireless interface that is up, else the interface of the default route, else the only one besides loopback.
     """
+    if radios := running_radios():
+        return radios[0]
     others = [name for name in list_interfaces() or () if name != "lo"]
-    for name in others:
-        if (SYS_NET / name / "wireless").exists() and _read_flags(name) & _RUNNING:
-            return name
     routed = _default_route()
     if routed in others:
         return routed
     return others[0] if len(others) == 1 else None
+
+
+def is_radio(name: str) -> bool:
+    """Return whether an interface is a radio."""
+    return (SYS_NET / name / "wireless").exists()
+
+
+def running_radios() -> list[str]:
+    """Return the radios that have a carrier."""
+    return [name for name in list_interfaces() or () if is_radio(name) and _read_flags(name) & _RUNNING]
 
 
 def _default_route() -> str:
@@ -176,7 +187,7 @@ class InterfaceReader:
             self._raw = self._total = self._state = None
         if (raw := self._read(self.name)) is not None:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
-            self._total = continue_counters(self._total or raw, self._raw or raw, raw)
+            self._total = _continued(self._total or raw, self._raw or raw, raw)
             self._may_choose = self._may_choose and not raw.is_up
         self._raw = raw
         self._note_state(state_of(raw))
@@ -194,6 +205,16 @@ class InterfaceReader:
             self._note(logging.WARNING, text)
         else:
             self._note(logging.WARNING, f"the link interface {self.name} is not there yet; arpd waits for it")
+
+
+def _continued(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:
+    """Continue totals from one reading to the next; none of them falls.
+
+    A counter that falls has wrapped, or its driver or queue has started again. Nobody knows what it counted since the
+    last reading, so it adds nothing.
+    """
+    grown = {name: max(0, getattr(now, name) - getattr(before, name)) for name in _COUNTERS}
+    return replace(now, **{name: getattr(total, name) + more for name, more in grown.items()})
 
 
 def read_memory(before: MemoryState = _UNKNOWN) -> MemoryState:

@@ -37,7 +37,7 @@ def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
 class JournalHandler(logging.Handler):
     """Sends every record as one entry; never waits, because a tick may log.
 
-    It counts the records that the journal does not take, and says so when it takes the next.
+    It counts the records that the journal does not take, and says so before the next one.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ class JournalHandler(logging.Handler):
             event = getattr(record, "event", None)
             if isinstance(event, Event):
                 fields |= _fields_of(event)
-            self._send(fields)
             if self._lost:
                 self._send({"MESSAGE": f"lost {self._lost} messages: the journal did not take them", "PRIORITY": 4})
                 self._lost = 0
+            self._send(fields)
         except OSError:
             self._lost += 1
         except Exception:  # noqa: BLE001 - logging must not raise for any record

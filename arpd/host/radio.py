@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from arpd.host.interface import SYS_NET, index_of, read_number
+from arpd.host.interface import SYS_NET, index_of, is_radio, read_number, running_radios
 from arpd.host.services import service_states
 from arpd.model.errors import NotKnownError
 
@@ -22,25 +22,11 @@ _OF_ALL = {"GET_REG"}  # questions that name no interface
 _OF_ONE = {"GET_POWER_SAVE"}  # questions with one answer
 
 
-def is_radio(interface: str) -> bool:
-    """Return whether an interface is a radio."""
-    return (SYS_NET / interface / "phy80211").exists()
-
-
 def radios_of(interface: str) -> list[str]:
-    """Return the interfaces with a radio that carry the link: itself, or those that are up beneath a tunnel."""
+    """Return the radios that carry the link: the interface itself, or those that may be beneath a tunnel."""
     if is_radio(interface):
         return [interface]
-    if (SYS_NET / interface / "device").exists():
-        return []
-    return sorted(radio.parent.name for radio in SYS_NET.glob("*/phy80211") if _is_up(radio.parent.name))
-
-
-def _is_up(interface: str) -> bool:
-    try:
-        return (SYS_NET / interface / "operstate").read_text().strip() == "up"
-    except OSError:
-        return False
+    return [] if (SYS_NET / interface / "device").exists() else running_radios()
 
 
 def transmit_rate(interface: str) -> float:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-
-_COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 
 
 class InterfaceState(StrEnum):
@@ -61,18 +59,3 @@ class LinkCounters:
 def state_of(counters: LinkCounters | None) -> InterfaceState:
     """Return the state of an interface that was just read; None = it could not be read."""
     return InterfaceState.GONE if counters is None else counters.state
-
-
-def continue_counters(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:
-    """Continue totals from one reading to the next; none of them falls.
-
-    A counter that falls has wrapped, or its driver or queue has started again. Nobody knows what it counted since the
-    last reading, so it adds nothing.
-
-    Parameters
-    ----------
-    total : the last totals
-    before, now : two consecutive readings of one interface
-    """
-    grown = {name: max(0, getattr(now, name) - getattr(before, name)) for name in _COUNTERS}
-    return replace(now, **{name: getattr(total, name) + more for name, more in grown.items()})

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.host.interface import InterfaceReader, read_memory
-from arpd.host.radio import is_radio, transmit_rate
+from arpd.host.interface import InterfaceReader, is_radio, read_memory
+from arpd.host.radio import transmit_rate
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation

@@ -10,7 +10,7 @@ pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 
 from pyroute2.netlink.nl80211 import nl80211cmd
 
-from arpd.host import radio
+from arpd.host import interface, radio
 from arpd.model.errors import NotKnownError
 
 # linux/nl80211.h
@@ -50,8 +50,10 @@ def station(*info):
 @pytest.fixture
 def sys_net(tmp_path, monkeypatch):
     monkeypatch.setattr(radio, "index_of", {"wlan0": 3, "eth0": 2}.get)
-    monkeypatch.setattr(radio, "SYS_NET", tmp_path)
-    (tmp_path / "wlan0/phy80211").mkdir(parents=True)
+    for module in (interface, radio):
+        monkeypatch.setattr(module, "SYS_NET", tmp_path)
+    for folder in ("wlan0/phy80211", "wlan0/wireless", "eth0/device"):
+        (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "wlan0/phy80211/index").write_text("1\n")
     return tmp_path
 
@@ -109,18 +111,12 @@ def test_no_fault_of_the_radio_leaves_its_module(monkeypatch, fault):
 
 
 @pytest.mark.parametrize(
-    ("interface", "state", "radios"),
-    [
-        ("wg0", "up", ["wlan0"]),
-        ("wg0", "down", []),
-        ("wg0", None, []),
-        ("eth0", "up", []),
-        ("wlan0", "down", ["wlan0"]),
-    ],
+    ("name", "flags", "radios"),
+    [("wg0", 0x41, ["wlan0"]), ("wg0", 0x1, []), ("eth0", 0x41, []), ("wlan0", 0x1, ["wlan0"])],
 )
-def test_the_radio_of_a_tunnel_is_one_that_is_up(sys_net, interface, state, radios):
+@pytest.mark.usefixtures("sys_net")
+def test_the_radio_of_a_tunnel_is_one_that_is_up(monkeypatch, name, flags, radios):
     """A radio beside a wired interface carries other traffic."""
-    (sys_net / "eth0/device").mkdir(parents=True)
-    if state is not None:
-        (sys_net / "wlan0/operstate").write_text(f"{state}\n")
-    assert radio.radios_of(interface) == radios
+    monkeypatch.setattr(interface, "list_interfaces", lambda: ["eth0", "wg0", "wlan0"])
+    monkeypatch.setattr(interface, "_read_flags", lambda _name: flags)
+    assert radio.radios_of(name) == radios
