@@ -55,7 +55,7 @@ _NOT_READY = "Not ready: the daemon has just started or is stuck; if this stays,
 
 def findings(status: Status | None) -> list[Finding]:
     """Return what the daemon says of its situation: its verdict, then faults, the worst first."""
-    if status is None or not status.ready:
+    if status is None:
         what = Condition.STALE
         return [Finding(condition=what, severity=what.severity, headline="Not ready", text=_NOT_READY, wrong=True)]
     return [status.verdict, *status.faults]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -87,9 +88,9 @@ class Here:
             return NotKnownError("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
         http, address = self.settings.http, self._options.url
         if address.url == DEFAULT_URL:
-            host = "127.0.0.1" if http.host in _ANY else http.host
-            url = f"http://{f'[{host}]' if ':' in host else host}:{http.port}"
-            address = Address(url, host, url)
+            http = replace(http, host="127.0.0.1") if http.host in _ANY else http
+            url = f"http://{http.netloc}"
+            address = Address(url, http.host, url)
         try:
             with connect(self._options, address) as daemon:
                 return daemon.status() or NotKnownError(f"the daemon at {address.url} has not finished a tick")

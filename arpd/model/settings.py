@@ -132,6 +132,11 @@ class HttpSettings(Section):
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
     web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]{1,4096}$"), OrWord(NONE)] = None
 
+    @property
+    def netloc(self) -> str:
+        """Host and port as a URL has them."""
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GraphSettings(Section):

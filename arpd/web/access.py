@@ -8,22 +8,21 @@ import logging
 import os
 import socket
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import prometheus_client
 from prometheus_client import CollectorRegistry, disable_created_metrics
 from tornado.httputil import split_host_and_port
 
 from arpd.model.errors import ConfigError
-from arpd.web.passwords import MAX_WAITING, Passwords, PasswordVerdict
+from arpd.web.passwords import Passwords, PasswordVerdict
 from arpd.web.web_config import Protection, load_protection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from tornado.httputil import HTTPServerRequest
@@ -91,28 +90,18 @@ class Access:
         self.protection = load_protection(http, directory=directory)
         self._stamps = _stamps(self.protection.files)
         self._passwords = Passwords(clock=time.monotonic, secret=os.urandom(32))
-        # One more than may wait for bcrypt, so that the next is refused at once.
-        self._threads = ThreadPoolExecutor(MAX_WAITING + 1, thread_name_prefix="arpd-http-access")
-
-    def close(self) -> None:
-        """Judge no further request."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
 
     async def refusal(self, request: HTTPServerRequest) -> HTTPStatus | None:
         """Return why a request without the right name or password is refused, None for one that may be answered."""
         protection = self.protection
         if protection.users:
             given = request.headers.get("Authorization", "").encode("latin-1", "replace")
-            client = client_of(str(request.remote_ip))
-            verdict = await self._in_thread(self._passwords.judge, protection.users, given, client)
+            verdict = await self._passwords.judge(protection.users, given, client_of(str(request.remote_ip)))
             self.counts.authentications.labels(verdict).inc()
             return _REFUSALS.get(verdict)
-        if protection.tls is None and not await self._in_thread(is_own_name, request.host, self._http.host):
+        if protection.tls is None and not await is_own_name(request.host, self._http.host):
             return HTTPStatus.MISDIRECTED_REQUEST
         return None
-
-    async def _in_thread(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self._threads, work, *arguments)
 
     def follow(self) -> bool:
         """Read the files again if they have changed; return True if there is another protection in force."""
@@ -138,9 +127,9 @@ class Access:
         return True
 
 
-def exposure(address: str, protection: Protection) -> str:
-    """Return the risk of listening on an IP address, empty if there is none."""
-    if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
+def exposure(addresses: Iterable[str], protection: Protection) -> str:
+    """Return the risk of listening on IP addresses, empty if there is none."""
+    if all(ipaddress.ip_address(each.partition("%")[0]).is_loopback for each in addresses):
         return ""
     if not (protection.users or protection.requires_certificate):
         return "anyone who reaches it can read it; add users or require client certificates in http.web_config"
@@ -149,7 +138,7 @@ def exposure(address: str, protection: Protection) -> str:
     return ""
 
 
-def is_own_name(host: str, listening_on: str) -> bool:
+async def is_own_name(host: str, listening_on: str) -> bool:
     """Return whether a Host header names this computer: by an address, or by a name of its own.
 
     A page on the web can let its name lead to this computer (DNS rebinding) and read what the daemon answers to the
@@ -161,10 +150,12 @@ def is_own_name(host: str, listening_on: str) -> bool:
     listening_on : ``http.host``
     """
     name = split_host_and_port(host.lower())[0].removesuffix(".")
+    if name in ("localhost", listening_on.lower()) or name.endswith(".localhost"):
+        return True
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
-        return name in ("localhost", listening_on.lower()) or name.endswith(".localhost") or name in _own_names()
+        return name in await asyncio.to_thread(_own_names)  # which may ask a name server
     return True
 
 

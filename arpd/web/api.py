@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, TopicAllocation
@@ -104,7 +103,7 @@ class Status:
 
     Parameters
     ----------
-    ready : True while the daemon governs
+    ready : true
     unix_time_s, age_s : end of the tick by the wall clock, and the time since, by the daemon's own clock (s)
     tick_s : duration of the tick (s)
     verdict : the condition of link and plan that matters most
@@ -130,7 +129,7 @@ class Status:
 
     api_version: str = API_VERSION
     version: str
-    ready: bool
+    ready: bool = True
     unix_time_s: float
     age_s: float
     tick_s: float
@@ -191,20 +190,18 @@ class History:
     events: tuple[Event, ...]
 
 
-def status_json(snapshot: Snapshot, *, is_ready: bool = True, now_s: float = inf) -> Iterator[bytes]:
+def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
     """Yield the whole snapshot as a JSON document, the topics last and one by one, because each takes a while.
 
     Parameters
     ----------
-    is_ready : True while the daemon governs
-    now_s : monotonic clock (s), for the age of the snapshot; without it the age is unknown
+    now_s : monotonic clock (s)
     """
     rows = topic_rows(snapshot)
-    judged = judge(snapshot, rows=rows, now_s=now_s if isfinite(now_s) else None)
+    judged = judge(snapshot, rows=rows, now_s=now_s)
     observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
     head = Status(
         version=snapshot.version,
-        ready=is_ready,
         unix_time_s=snapshot.unix_time_s,
         age_s=max(0.0, now_s - snapshot.finished_at_s),
         tick_s=snapshot.tick_s,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import chain
 from types import SimpleNamespace
@@ -24,15 +23,15 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _PATIENCE_S = 1.0
-_REST = 3.0  # times the work of a document, the thread rests before the next
+_REST = 3.0  # times the work of a document passes before the next
 
 
 class Documents:
     """The documents of the daemon.
 
-    Python runs one thread at a time, so whoever makes a large document slows the tick down. One thread makes them all;
-    those who ask meanwhile get what is in the making. It works in pieces of milliseconds and waits between two of them
-    while a tick runs: for a second in all, because metrics matter most when ticks hang.
+    Python runs one thread at a time, so whoever makes a large document slows the tick down. They are made one after the
+    other, and those who ask meanwhile get what is in the making: in pieces of milliseconds, with a wait between two of
+    them while a tick runs, for a second in all, because metrics matter most when ticks hang.
 
     Parameters
     ----------
@@ -56,25 +55,24 @@ class Documents:
         self._history = history
         self._registry = registry
         self._resting = resting
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="arpd-http-document")
+        self._one_by_one = asyncio.Lock()
         self._free_at_s = 0.0
-        self._in_the_making: dict[str, asyncio.Future[bytes]] = {}
+        self._in_the_making: dict[str, asyncio.Task[bytes]] = {}
 
     async def get(self, name: str) -> bytes:
         """Return ``metrics``, ``status`` or ``history``; there is no status before the first tick."""
         if (made := self._in_the_making.get(name)) is None:
             pieces = {"metrics": self._metrics, "status": self._status, "history": self._past}[name]
-            made = asyncio.get_running_loop().run_in_executor(self._thread, self._make, pieces)
-            self._in_the_making[name] = made
+            made = self._in_the_making[name] = asyncio.create_task(self._make(pieces))
             made.add_done_callback(lambda _: self._in_the_making.pop(name))
         return await asyncio.shield(made)
 
-    def close(self) -> None:
-        """Begin no other document."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+    async def _make(self, pieces: Callable[[], Iterable[bytes]]) -> bytes:
+        async with self._one_by_one:
+            await asyncio.sleep(self._free_at_s - time.monotonic())
+            return await asyncio.to_thread(self._join, pieces)
 
-    def _make(self, pieces: Callable[[], Iterable[bytes]]) -> bytes:
-        time.sleep(max(0.0, self._free_at_s - time.monotonic()))
+    def _join(self, pieces: Callable[[], Iterable[bytes]]) -> bytes:
         began_s = time.thread_time()
         body = b"".join(self._between_ticks(pieces()))
         self._free_at_s = time.monotonic() + _REST * (time.thread_time() - began_s)

@@ -6,11 +6,11 @@ requests wait for it, and slows down clients that guess.
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import binascii
 import hashlib
 import hmac
-import threading
 from collections import OrderedDict
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-MAX_WAITING = 4  # threads in or before bcrypt; each counts against the connection limit
+MAX_WAITING = 4  # requests in or before bcrypt; each counts against the connection limit
 MAX_CLIENTS = 256
 BURST = 5.0  # wrong passwords that a client may send at once …
 REFILL_HZ = 1.0  # … and then one a second
@@ -37,7 +37,7 @@ class PasswordVerdict(StrEnum):
 
 
 class Passwords:
-    """Judges credentials.
+    """Judges credentials in the event loop; only bcrypt runs beside it, in a thread.
 
     Parameters
     ----------
@@ -52,13 +52,12 @@ class Passwords:
         self._clock = clock
         self._secret = secret
         self._check = check or bcrypt_matches
-        self._lock = threading.Lock()
-        self._bcrypt = threading.Lock()
-        self._waiting = threading.BoundedSemaphore(MAX_WAITING)
+        self._bcrypt = asyncio.Lock()
+        self._waiting = 0
         self._good: dict[bytes, bytes] = {}
         self._budgets: OrderedDict[str, tuple[float, float]] = OrderedDict()  # client → (wrong ones left, when)
 
-    def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> PasswordVerdict:
+    async def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> PasswordVerdict:
         """Return the verdict on a request.
 
         Parameters
@@ -75,26 +74,25 @@ class Passwords:
         # An unknown name costs as much time as a known one, so that time does not tell them apart.
         hashed = self._decoy(users, name) if known is None else known
         digest = self._digest(hashed, password)
-        with self._lock:
-            if known is not None and hmac.compare_digest(self._good.get(name, b""), digest):
-                return PasswordVerdict.CACHED
-            if not self._take(client):
-                return PasswordVerdict.THROTTLED
-        if not self._waiting.acquire(blocking=False):
+        if known is not None and hmac.compare_digest(self._good.get(name, b""), digest):
+            return PasswordVerdict.CACHED
+        if not self._take(client):
+            return PasswordVerdict.THROTTLED
+        if self._waiting == MAX_WAITING:
             self._give_back(client)
             return PasswordVerdict.BUSY
+        self._waiting += 1
         try:
-            with self._bcrypt:
-                is_right = self._check(password, hashed)
+            async with self._bcrypt:
+                is_right = await asyncio.to_thread(self._check, password, hashed)
         finally:
-            self._waiting.release()
+            self._waiting -= 1
         if not is_right or known is None:
             return PasswordVerdict.WRONG
         self._give_back(client)
-        with self._lock:
-            if len(self._good) > 2 * len(users):  # some names are no longer users
-                self._good.clear()
-            self._good[name] = digest
+        if len(self._good) > 2 * len(users):  # some names are no longer users
+            self._good.clear()
+        self._good[name] = digest
         return PasswordVerdict.OK
 
     def _digest(self, hashed: bytes, password: bytes) -> bytes:
@@ -117,9 +115,8 @@ class Passwords:
         return is_allowed
 
     def _give_back(self, client: str) -> None:
-        with self._lock:
-            left, since_s = self._budgets.get(client, (BURST, self._clock()))
-            self._budgets[client] = (min(BURST, left + 1.0), since_s)
+        left, since_s = self._budgets.get(client, (BURST, self._clock()))
+        self._budgets[client] = (min(BURST, left + 1.0), since_s)
 
 
 def parse_basic(header: bytes) -> tuple[bytes, bytes] | None:

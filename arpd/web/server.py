@@ -8,13 +8,12 @@ import threading
 import time
 from collections import Counter
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
-from arpd.report.history import History
 from arpd.web.access import Access, HttpCounts, client_of, exposure
 from arpd.web.documents import Documents
 from arpd.web.handlers import Site
@@ -22,11 +21,13 @@ from arpd.web.metrics import make_registry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
     from prometheus_client import Histogram
     from tornado.iostream import IOStream
 
     from arpd.model.settings import HttpSettings
+    from arpd.report.history import History
     from arpd.report.snapshot import Snapshot
 
 log = logging.getLogger(__name__)
@@ -50,9 +51,9 @@ class HttpServer:
     http : address and web-config
     snapshot : returns the last snapshot, None before the first tick finished
     directory : folder of the configuration file, where a relative ``http.web_config`` starts
-    history : the last ten minutes, None = empty
+    history : the last ten minutes
     durations : of ticks and solves
-    resting : set while no tick runs, None = there are no ticks
+    resting : set while no tick runs
     clock : monotonic clock of the snapshots (s)
 
     Raises
@@ -71,20 +72,17 @@ class HttpServer:
         http: HttpSettings,
         *,
         snapshot: Callable[[], Snapshot | None],
-        directory: Path = Path(),
-        history: History | None = None,
-        durations: Iterable[Histogram] = (),
-        resting: threading.Event | None = None,
+        directory: Path,
+        history: History,
+        durations: Iterable[Histogram],
+        resting: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if resting is None:
-            resting = threading.Event()
-            resting.set()
         self.registry = make_registry(snapshot, clock=clock, durations=durations)
         self._http = http
         self._access = Access(http, directory=directory, counts=HttpCounts(self.registry))
         self._documents = Documents(
-            snapshot=snapshot, history=history or History(), registry=self.registry, resting=resting, clock=clock
+            snapshot=snapshot, history=history, registry=self.registry, resting=resting, clock=clock
         )
         self._site = Site(documents=self._documents, access=self._access)
         self.fault = ""
@@ -94,7 +92,7 @@ class HttpServer:
     def url(self) -> str:
         """Base URL without a trailing slash."""
         scheme = "http" if self._access.protection.tls is None else "https"
-        return f"{scheme}://{_bracketed(self._http.host)}:{self.port or self._http.port}"
+        return f"{scheme}://{replace(self._http, port=self.port or self._http.port).netloc}"
 
     @contextmanager
     def up(self) -> Iterator[None]:
@@ -138,15 +136,13 @@ class HttpServer:
             self.port = 0
             server.stop()
             server.close_connections()
-            self._documents.close()
-            self._access.close()
 
     def _listen(self, server: _Server) -> None:
-        where = f"{_bracketed(self._http.host)}:{self._http.port}"
         try:
             sockets = bind_sockets(self._http.port, self._http.host)
         except (OSError, UnicodeError, OverflowError) as error:
-            fault = f"no metrics: http: cannot listen on {where}: {getattr(error, 'strerror', None) or error}"
+            why = getattr(error, "strerror", None) or error
+            fault = f"no metrics: http: cannot listen on {self._http.netloc}: {why}"
             if fault != self.fault:
                 log.error(  # noqa: TRY400 - no traceback needed
                     "%s; arpd tries again. Set http.host and http.port to a free address of this machine "
@@ -158,7 +154,7 @@ class HttpServer:
         self.fault, self.port = "", sockets[0].getsockname()[1]
         server.add_sockets(sockets)
         log.info("metrics at %s/metrics", self.url)
-        if amiss := exposure(sockets[0].getsockname()[0], self._access.protection):
+        if amiss := exposure([each.getsockname()[0] for each in sockets], self._access.protection):
             log.warning("http: %s is open to the network, and %s", self.url, amiss)
 
 
@@ -190,7 +186,3 @@ class _Server(HTTPServer):
     def close_connections(self) -> None:
         for stream in tuple(self._clients):
             stream.close()
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

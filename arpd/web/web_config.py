@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import ssl
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Self, cast
@@ -13,13 +14,12 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     PlainValidator,
-    PrivateAttr,
     ValidationError,
     ValidationInfo,
     model_validator,
 )
 
-from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
+from arpd.host.config.yaml_source import Fault, config_error, dotted, read_bounded, read_source
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
@@ -58,16 +58,13 @@ def _name(raw: str) -> str:
 
 
 def _file(raw: Any, info: ValidationInfo) -> Path:
-    if not isinstance(raw, str) or not re.fullmatch(r"[^\0]{1,4096}", raw):
+    if not raw or not isinstance(raw, str):
         raise ValueError("is not a path; write the path of a PEM file")
     path = cast("dict[str, Path]", info.context)["directory"] / raw
     try:
-        path.open("rb").close()
-    except OSError as error:
-        shown = printable(str(path), longest=200)
-        raise ValueError(
-            f"{shown} cannot be read ({error.strerror}); name a PEM file that this user may read"
-        ) from None
+        read_bounded(path)
+    except ValueError as error:
+        raise ValueError(f"{printable(str(path), longest=200)} {error}") from None
     return path
 
 
@@ -91,7 +88,6 @@ class TlsServer(_Section):
     key_file: _File
     client_auth_type: Annotated[ssl.VerifyMode, PlainValidator(_clients)] = ssl.CERT_NONE
     client_ca_file: _File | None = None
-    _context: ssl.SSLContext = PrivateAttr()
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
@@ -100,15 +96,12 @@ class TlsServer(_Section):
                 "client_ca_file needs a client_auth_type that asks for certificates, and one that asks needs the file; "
                 "write both or neither"
             )
-        self._context = self._loaded()
+        _ = self.context  # which refuses files that are no certificates
         return self
 
-    @property
+    @cached_property
     def context(self) -> ssl.SSLContext:
         """What wraps connections."""
-        return self._context
-
-    def _loaded(self) -> ssl.SSLContext:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_alpn_protocols(["http/1.1"])

@@ -50,9 +50,9 @@ def serving(body, code=200, *, history=None):
         server.server_close()
 
 
-def document(*, now_s=FINISHED_AT_S + 0.05, is_ready=True, held_s=0.0, **parts):
+def document(*, now_s=FINISHED_AT_S + 0.05, held_s=0.0, **parts):
     """Return the status of a daemon that copes with a slow link, with other values in its parts."""
-    return status_of(held(changed(**parts), for_s=held_s), now_s=now_s, is_ready=is_ready)
+    return status_of(held(changed(**parts), for_s=held_s), now_s=now_s)
 
 
 def demo_robot():

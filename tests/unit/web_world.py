@@ -5,12 +5,15 @@ from __future__ import annotations
 import socket
 import ssl
 import subprocess
+import threading
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPSConnection
+from pathlib import Path
 from types import SimpleNamespace
 
 from arpd.model.settings import HttpSettings
+from arpd.report.history import History
 from arpd.web.server import HttpServer
 
 HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
@@ -76,15 +79,23 @@ class Running:
         return self.server.registry.get_sample_value(name, labels) or 0
 
 
+def server_of(http, **options):
+    """Return a server; what the options do not name is there and empty, and no tick runs."""
+    resting = threading.Event()
+    resting.set()
+    empty = {"snapshot": lambda: None, "directory": Path(), "history": History(), "durations": (), "resting": resting}
+    return HttpServer(http, **empty | options)
+
+
 @contextmanager
-def running(folder=None, text=None, *, snapshot=lambda: None, **options):
+def running(folder=None, text=None, **options):
     """Run a server, under a web-config of ``text`` in ``folder`` if there is one."""
     http = HttpSettings(port=0)
     if text is not None:
         (folder / "web.yaml").write_text(text)
         http = replace(http, web_config="web.yaml")
         options["directory"] = folder
-    server = HttpServer(http, snapshot=snapshot, **options)
+    server = server_of(http, **options)
     with server.up():
         yield Running(server)
 

@@ -96,16 +96,24 @@ def _key(name: str) -> str:
     return printable(name) if re.fullmatch(r"[\w-]+", name) else f"'{printable(name)}'"
 
 
-def _text(path: Path) -> str:
+def read_bounded(path: Path) -> bytes:
+    """Return what a file holds, or raise ValueError with ``what is wrong; what would be right``."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         why = getattr(error, "strerror", None) or error
-        raise _RefusedError("file", f"cannot be read ({why}); create it, change its mode, or name another") from None
+        raise ValueError(f"cannot be read ({why}); create it, change its mode, or name another") from None
     if len(raw) > _MAX_BYTES:
-        raise _RefusedError("file", f"is larger than {_MAX_BYTES // 1024} KiB; shorten it or name another file")
-    return raw.decode("utf-8-sig", "surrogateescape")
+        raise ValueError(f"is larger than {_MAX_BYTES // 1024} KiB; shorten it or name another file")
+    return raw
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_bounded(path).decode("utf-8-sig", "surrogateescape")
+    except ValueError as error:
+        raise _RefusedError("file", str(error)) from None
 
 
 class _Loader(yaml.SafeLoader):

@@ -13,10 +13,9 @@ from playwright.sync_api import sync_playwright
 from arpd.model.settings import HttpSettings
 from arpd.report.conditions import Condition, Event, Happening, Severity
 from arpd.report.history import History
-from arpd.web.server import HttpServer
 from tests.golden.sample import FINISHED_AT_S, looked
 from tests.sample_publishers import publisher
-from tests.unit.web_world import HASH, PASSWORD, make_certificate
+from tests.unit.web_world import HASH, PASSWORD, make_certificate, server_of
 from tests.waiting import PATIENCE_S, eventually
 
 HOSTILE = "/<img src=x onerror=alert(1)>\"'&amp;</script><script>alert(2)</script>"
@@ -36,7 +35,7 @@ class Daemon:
     snapshot: object
     history: History = field(default_factory=History)
     late_s: float = 0.0
-    server: HttpServer | None = None
+    server: object = None
     up: ExitStack = field(default_factory=ExitStack)
 
     def __post_init__(self):
@@ -48,7 +47,7 @@ class Daemon:
         return replace(snapshot, finished_at_s=FINISHED_AT_S + later_s, unix_time_s=self.snapshot.unix_time_s + later_s)
 
     def start(self, port=0, **options):
-        self.server = HttpServer(
+        self.server = server_of(
             HttpSettings(port=port, web_config=options.pop("web_config", None)),
             snapshot=lambda: self.snapshot,
             history=self.history,

@@ -39,7 +39,6 @@ def test_all_is_well_exits_0(status):
 @pytest.mark.parametrize(
     ("answered", "said"),
     [
-        (document(is_ready=False), "Not ready"),
         (document(now_s=FINISHED_AT_S + 7.0), "No tick finishes"),
         (document(config_error="a.yaml:1:1: x: y; z"), "Reload refused: a.yaml:1:1: x: y; z"),
         (
@@ -62,7 +61,6 @@ def test_what_is_wrong_exits_1_and_is_said(status, answered, said):
     ("body", "code", "exits", "said"),
     [
         ('{"api_version": "v1", "ready": false}', 503, 1, "Not ready"),
-        (json.dumps(document(is_ready=False)), 503, 1, "Not ready"),
         ('{"api_version": "v9", "ready": true, "link": {}}', 200, 1, "another version"),
         ("<html>", 200, 3, "is not arpd"),
         ("503 busy\n", 503, 3, "is not arpd"),

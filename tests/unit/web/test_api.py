@@ -39,7 +39,7 @@ def documents(sample_snapshot):
             "status": status_of(full, now_s=1000.25),
             "history": json.loads(history_json(past.samples, (EVENT,))),
         },
-        "empty": {"status": status_of(empty, is_ready=False), "history": json.loads(history_json((), ()))},
+        "empty": {"status": status_of(empty, now_s=1000.25), "history": json.loads(history_json((), ()))},
     }
 
 
@@ -88,7 +88,7 @@ def test_a_document_read_is_what_was_written(documents, sample_snapshot):
     for publisher in sample_snapshot.observation.publishers:
         assert replace(by_topic[publisher.topic].confirmed, announced_at_s=publisher.announced_at_s) == publisher
     assert status.events == (EVENT,)
-    assert (empty.age_s, empty.link.age_s, empty.link.queue_delay_s) == (math.inf,) * 3
+    assert (empty.link.age_s, empty.link.queue_delay_s) == (math.inf, math.inf)
     assert read(History, documents["full"]["history"]).link["queue_delay_s"] == (0.0125,)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -17,7 +17,6 @@ from arpd.web.passwords import (
     bcrypt_matches,
 )
 from tests.unit.web_world import HASH, PASSWORD, Clock
-from tests.waiting import eventually
 
 
 class Bcrypt:
@@ -31,59 +30,65 @@ class Bcrypt:
         return password == hashed[::-1]
 
 
+USERS = {b"alice": b"ecila", b"bob": b"bob"}
+
+
 @pytest.fixture
 def passwords():
     return Passwords(clock=Clock(), secret=b"s" * 32, check=Bcrypt())
 
 
-def basic(name, password):
-    return b"Basic " + base64.b64encode(f"{name}:{password}".encode())
+@pytest.fixture
+def judge(passwords):
+    return lambda *who, users=USERS: asyncio.run(verdict(passwords, *who, users=users))
 
 
-USERS = {b"alice": b"ecila", b"bob": b"bob"}
+async def verdict(passwords, name, password, client, *, users=USERS):
+    given = b"Basic " + base64.b64encode(f"{name}:{password}".encode())
+    return await passwords.judge(users, given, client)
 
 
-def test_an_unknown_name_costs_what_a_known_one_does(passwords):
+def test_an_unknown_name_costs_what_a_known_one_does(passwords, judge):
     """An unknown name runs bcrypt once against a real hash, the same each time, and is never right."""
     for password in ("x", "ecila", "bob", "alice"):
-        assert passwords.judge({b"alice": b"ecila"}, basic("mallory", password), "a") is PasswordVerdict.WRONG
+        assert judge("mallory", password, "a", users={b"alice": b"ecila"}) is PasswordVerdict.WRONG
     assert [hashed for _, hashed in passwords._check.runs] == [b"ecila"] * 4
     assert passwords._good == {}
 
 
-def test_who_guesses_waits_and_who_is_remembered_does_not(passwords):
+def test_who_guesses_waits_and_who_is_remembered_does_not(passwords, judge):
     """After a burst a client has one guess a second; other clients and remembered passwords do not wait."""
-    passwords.judge(USERS, basic("alice", "alice"), "a")
-    verdicts = [passwords.judge(USERS, basic("alice", str(i)), "a") for i in range(int(BURST) + 3)]
+    judge("alice", "alice", "a")
+    verdicts = [judge("alice", str(i), "a") for i in range(int(BURST) + 3)]
     assert verdicts == [PasswordVerdict.WRONG] * int(BURST) + [PasswordVerdict.THROTTLED] * 3
-    assert passwords.judge(USERS, basic("alice", "alice"), "a") is PasswordVerdict.CACHED
-    assert passwords.judge(USERS, basic("bob", "bob"), "b") is PasswordVerdict.OK
+    assert judge("alice", "alice", "a") is PasswordVerdict.CACHED
+    assert judge("bob", "bob", "b") is PasswordVerdict.OK
     passwords._clock.now_s = 1.0
-    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.WRONG
-    assert passwords.judge(USERS, basic("alice", "x"), "a") is PasswordVerdict.THROTTLED
+    assert judge("alice", "x", "a") is PasswordVerdict.WRONG
+    assert judge("alice", "x", "a") is PasswordVerdict.THROTTLED
 
 
 def test_few_wait_for_bcrypt_and_one_runs():
     """Further requests are refused, so that guesses cannot use up the connection limit."""
-    finish = threading.Event()
-    running, most = [], []
+    finish, one_at_a_time = threading.Event(), threading.Lock()
+    alone = []
 
     def slow(_password, _hashed):
-        running.append(1)
-        most.append(len(running))
+        alone.append(one_at_a_time.acquire(blocking=False))
         finish.wait(60.0)
-        running.pop()
+        one_at_a_time.release()
         return False
 
     passwords = Passwords(clock=Clock(), secret=b"s", check=slow)
-    guesses = range(MAX_WAITING + 3)
-    with ThreadPoolExecutor(len(guesses)) as threads:
-        judged = [threads.submit(passwords.judge, USERS, basic("alice", "x"), str(number)) for number in guesses]
-        eventually("the last three are refused", lambda: sum(each.done() for each in judged) == 3)
+
+    async def flood():
+        guesses = [asyncio.create_task(verdict(passwords, "alice", "x", f"{n}")) for n in range(MAX_WAITING + 3)]
+        refused, waiting = await asyncio.wait(guesses, return_when=asyncio.FIRST_COMPLETED)
         finish.set()
-    verdicts = sorted(each.result() for each in judged)
-    assert verdicts == [PasswordVerdict.BUSY] * 3 + [PasswordVerdict.WRONG] * MAX_WAITING
-    assert max(most) == 1
+        return [await each for each in refused], [await each for each in waiting]
+
+    assert asyncio.run(flood()) == ([PasswordVerdict.BUSY] * 3, [PasswordVerdict.WRONG] * MAX_WAITING)
+    assert alone == [True] * MAX_WAITING
 
 
 def test_whoever_has_many_addresses_counts_once():

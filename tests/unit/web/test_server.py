@@ -16,9 +16,8 @@ from arpd.model.settings import HttpSettings
 from arpd.report.situation import judge
 from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
-from arpd.web.server import HttpServer
 from tests.golden.sample import changed
-from tests.unit.web_world import running
+from tests.unit.web_world import running, server_of
 from tests.waiting import eventually
 
 NOW_S = 1000.25
@@ -174,7 +173,7 @@ def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
     caplog.set_level("INFO", "arpd.web.server")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        server = HttpServer(HttpSettings(port=port), snapshot=lambda: None)
+        server = server_of(HttpSettings(port=port))
         with server.up():
             assert f"cannot listen on 127.0.0.1:{port}" in server.fault
             other.close()

@@ -32,6 +32,7 @@ def certificates(tmp_path_factory):
     make_certificate(folder, "other")
     make_certificate(folder, "ca")
     (folder / "text.txt").write_text("nothing of the kind")
+    (folder / "large.crt").write_bytes(bytes(2**20))
     lock = ["openssl", "ec", "-in", "server.key", "-aes256", "-passout", "pass:x", "-out", "locked.key"]
     subprocess.run(lock, cwd=folder, check=True, capture_output=True)
     return folder
@@ -69,6 +70,7 @@ TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
         (f"{TLS}, client_auth_type: Any}}", "tls_server_config.client_auth_type", "write NoClientCert or"),
         (f"{TLS}, client_auth_type: RequireAndVerifyClientCert}}", "1:20: tls_server_config", "both or neither"),
         ("tls_server_config: {cert_file: no.crt, key_file: server.key}", "", "no.crt cannot be read (No such file"),
+        ("tls_server_config: {cert_file: large.crt, key_file: server.key}", "", "large.crt is larger than 512 KiB"),
         ("tls_server_config: {cert_file: text.txt, key_file: server.key}", "", "cert_file and key_file cannot be used"),
         ("tls_server_config: {cert_file: server.crt, key_file: other.key}", "", "(KEY_VALUES_MISMATCH); name a"),
         ("tls_server_config: {cert_file: server.crt, key_file: locked.key}", "", "has a passphrase"),
@@ -158,8 +160,8 @@ def test_no_change_of_the_file_opens_the_port(access, text):
 def test_what_is_open_to_the_network_is_said(load):
     """Beyond loopback there is a risk without TLS, and without users or client certificates."""
     tls, clients, users = load(f"{TLS}}}"), load(BOTH), load(f"basic_auth_users: {{alice: {HASH}}}")
-    assert exposure("127.0.0.1", Protection()) == exposure("::1", Protection()) == ""
-    assert "anyone" in exposure("0.0.0.0", Protection())
-    assert "anyone" in exposure("fe80::1%eth0", tls)
-    assert "unencrypted" in exposure("::", users)
-    assert exposure("192.0.2.1", clients) == exposure("192.0.2.1", replace(tls, users=users.users)) == ""
+    assert exposure(["127.0.0.1", "::1"], Protection()) == ""
+    assert "anyone" in exposure(["127.0.0.1", "0.0.0.0"], Protection())
+    assert "anyone" in exposure(["fe80::1%eth0"], tls)
+    assert "unencrypted" in exposure(["::"], users)
+    assert exposure(["192.0.2.1"], clients) == exposure(["192.0.2.1"], replace(tls, users=users.users)) == ""
