@@ -228,7 +228,7 @@ class PacedQueue:
         """Let a part take its share of the link."""
         price = self._price
         if not is_first:
-            self._virtual = max(self._virtual, min(each.start for each in self._active))
+            self._virtual = max(self._virtual, min([lane.start, *(each.start for each in self._active)]))
             lane.start += part.wire_bytes / lane.weight
         if price is not None and not lane.is_unbound(now_s):
             cost_s = part.packets * price.packet_overhead_s + part.wire_bytes / price.capacity_bytes_per_second

@@ -198,30 +198,38 @@ class LinkQueue(PacedQueue):
         if self._free_s(now_s) <= now_s + SOON_S:
             in_turn = [each for each in others if each not in boarding and self._turn_s(each, now_s) <= now_s]
             boarding |= dict.fromkeys(sorted(in_turn, key=lambda each: each.start), False)
-        aboard: dict[Lane, bytes] = {}
+        aboard: list[tuple[Lane, bytes]] = []
         room = _TOGETHER_BYTES
-        self._departs_s = now_s + self._company_s
         for each in boarding:
-            if each.next_bytes > room:
-                self._departs_s = now_s
-            elif (current := each.begin(now_s)) is None:
-                del self._active[each]
-            else:
-                aboard[each] = current.message
-                room -= len(current.message)
+            messages = self._board(each, room, now_s)
+            aboard += [(each, message) for message in messages]
+            room -= sum(map(len, messages))
+        is_full = any(each in self._active and self._comes_first(each, now_s) for each in boarding)
+        self._departs_s = now_s if is_full else now_s + self._company_s
         if not aboard:
             return None
-        message = b"".join(aboard.values())
+        message = b"".join(message for _, message in aboard)
         number, wire_bytes, packets = self._send(self._coach, message, now_s)
         self.sent_bytes += int(wire_bytes)
         shared = (wire_bytes - len(message)) / len(aboard)
-        for each, sample in aboard.items():
+        for each, sample in aboard:
             share = Part(sample, len(sample) + shared, packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
-            self._end(each, now_s)
         departed_us = int(now_s * 1e6) % WRAP
         chunk = Chunk(self._session, number, departed_us, number, 0, len(message), is_kept=False, part=message)
         return Ready(self._coach, encode_chunk(chunk))
+
+    def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
+        """Return what leaves of a lane together with others: one message, and all that its rate and the room allow."""
+        aboard: list[bytes] = []
+        while lane in self._active and lane.next_bytes <= room and (not aboard or self._comes_first(lane, now_s)):
+            if (current := lane.begin(now_s)) is None:
+                del self._active[lane]
+                break
+            aboard.append(current.message)
+            room -= len(current.message)
+            self._end(lane, now_s)
+        return aboard
 
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
         message, offset = current.message, current.offset

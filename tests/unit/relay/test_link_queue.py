@@ -40,7 +40,7 @@ class Link:
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
         self.received = Received()
-        self.queue = LinkQueue(7, self.now_s, together=lambda _sample: None)
+        self.queue = LinkQueue(7, self.now_s, together=partial(self.write, "together", Assembly()))
         self.flight = self.queue.flight
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
@@ -310,6 +310,17 @@ def test_no_more_leaves_together_than_one_packet_holds():
         link.lane(name, has_company=True)
         link.offer(name, name.encode() * 500)
     assert loads(link) == (["ab", "c"], 0)
+
+
+def test_a_topic_quicker_than_packets_leave_does_not_wait():
+    """Its messages of the time of two packets leave in one, so that 500 Hz cross a link of 5 Mbit/s as they come."""
+    link = Link(capacity=CAPACITY / 4)
+    price = replace(price_of(1.0), capacity_bytes_per_second=link.capacity)
+    quick = link.lane("quick", replace(ROW, wire_bytes=300.0, packets=1), price, has_company=True)
+    link.publish("quick", 500.0, 100)
+    link.run(2.0)
+    assert len(quick) <= 2
+    assert quick.withheld.total() == 0
 
 
 def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
