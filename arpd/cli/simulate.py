@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
-from itertools import count as counting
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,8 @@ from rich.text import Text
 
 from arpd.cli.options import Command, add_config, add_json, config_of, within
 from arpd.cli.output import fitted, progress, show
-from arpd.daemon.compare import WARM_UP_S, compare, summarize
-from arpd.daemon.scenario import Moment, Scenario
+from arpd.daemon.scenario import Moment, Scenario, Way
+from arpd.daemon.summary import WARM_UP_S, summarize
 from arpd.host.config.load import load_settings
 from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
@@ -42,13 +41,13 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Mapping, Sequence
 
-    from arpd.daemon.compare import Summary
     from arpd.daemon.scenario import ScenarioResult
+    from arpd.daemon.summary import Summary
     from arpd.model.settings import Settings
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
 
-    Comparison = Mapping[str, ScenarioResult]  # by way
+    Comparison = Mapping[Way, ScenarioResult]
     Figures = Mapping[str, Callable[[TopicResult], float | None]]
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
@@ -121,10 +120,12 @@ def _simulate(options: argparse.Namespace) -> int:
         packet_overhead_s=options.packet_overhead,
         aggregate_packets=options.aggregate,
     )
-    number = counting()
-    with progress(f"simulating {format_duration(duration_s)} three ways", total=3) as reach:
-        scenario = Scenario(settings, trace.rates, duration_s, seed=options.seed, model=model, topics=robot)
-        ways = compare(scenario, on_way=lambda way: reach(next(number), way))
+    scenario = Scenario(settings, trace.rates, duration_s, seed=options.seed, model=model, topics=robot)
+    ways: dict[Way, ScenarioResult] = {}
+    with progress(f"simulating {format_duration(duration_s)} three ways", total=len(Way)) as reach:
+        for way in Way:
+            reach(len(ways), way)
+            ways[way] = replace(scenario, way=way).play()
     summaries = {way: summarize(result, start_s=WARM_UP_S, end_s=duration_s) for way, result in ways.items()}
     if options.json:
         asked = {"config": config and str(config), "trace": trace.name, "duration_s": duration_s, "seed": options.seed}
@@ -158,12 +159,12 @@ def _simulate(options: argparse.Namespace) -> int:
         "AGE P99": lambda topic: _times(1e3, topic.age_p99_s),
     }
     show("", fitted(_topics(robot, ways, rates)), "", fitted(_topics(robot, ways, delays)), "")
-    _show_events(ways["arpd"].moments)
+    _show_events(ways[Way.ARPD].moments)
     return 0
 
 
 def _head(name: str, ways: Comparison, model: LinkModel, robot: Sequence[SimTopic]) -> Sequence[str]:
-    rates = [moment.truth_bytes_per_second for moment in ways["arpd"].moments]
+    rates = [moment.truth_bytes_per_second for moment in ways[Way.ARPD].moments]
     low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
     path = f"delay {format_duration(model.delay_s)}, queue {format_size(model.queue_bytes)}"
     published = format_rate(sum(topic.payload_bytes * topic.rate_hz for topic in robot))
@@ -212,9 +213,9 @@ def _course(moments: Sequence[Moment]) -> Mapping[str, tuple[Any, ...]]:
     return {field.name: tuple(getattr(moment, field.name) for moment in moments) for field in fields(Moment)}
 
 
-def _overall(summaries: Mapping[str, Summary]) -> Sequence[Sequence[str]]:
+def _overall(summaries: Mapping[Way, Summary]) -> Sequence[Sequence[str]]:
     """Return the ways side by side, from the end of the warm-up on."""
-    best = summaries["oracle"].goodput_bytes_per_second
+    best = summaries[Way.ORACLE].goodput_bytes_per_second
     rows: dict[str, Callable[[Summary], float | None]] = {
         "payload delivered, Mbit/s": lambda way: way.goodput_bytes_per_second / _MBIT,
         "of the oracle's, %": lambda way: 100 * way.goodput_bytes_per_second / best if best else None,
@@ -237,7 +238,7 @@ def _overall(summaries: Mapping[str, Summary]) -> Sequence[Sequence[str]]:
 
 def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Sequence[Sequence[str]]:
     """Return figures per topic over the whole run, three ways each."""
-    titles = [f"{figure if way == 'arpd' else ''}\n{way}" for figure in figures for way in ways]
+    titles = [f"{figure if way is Way.ARPD else ''}\n{way}" for figure in figures for way in ways]
     rows = [["TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles]]
     for topic, *results in zip(robot, *(way.topics for way in ways.values()), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""

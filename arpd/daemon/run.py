@@ -9,6 +9,8 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from prometheus_client import Histogram, disable_created_metrics
+
 from arpd.daemon.supervisor import Signals, Supervisor
 from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
@@ -26,6 +28,15 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+# A tick has 0.1 s, and one that begins 0.05 s late counts as late: both are bounds.
+_TICK_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
+# A dozen topics take a millisecond, a thousand some ten (scripts/bench/solve.py).
+_SOLVE_S = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
+_DURATIONS = {
+    "tick_duration": ("Duration of finished ticks.", _TICK_S),
+    "tick_lateness": ("Delay after the planned time at which ticks began; above 0.05 counts as late.", _TICK_S),
+    "solve_duration": ("Duration of solves of the whole program, one for each tick that plans.", _SOLVE_S),
+}
 _COLLECT_S = 30.0
 _MOST_NEW = 200_000  # objects that may wait to be collected: some tens of megabytes, if all were garbage
 
@@ -49,6 +60,15 @@ class _Garbage:
         if time.monotonic() - self._collected_s >= _COLLECT_S or gc.get_count()[0] >= _MOST_NEW:
             gc.collect()
             self._collected_s = time.monotonic()
+
+
+def new_durations() -> dict[str, Histogram]:
+    """Return empty histograms, in no registry yet."""
+    disable_created_metrics()  # type: ignore[no-untyped-call]
+    return {
+        name: Histogram(f"arpd_{name}_seconds", text, registry=None, buckets=bounds_s)
+        for name, (text, bounds_s) in _DURATIONS.items()
+    }
 
 
 def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = None) -> int:
@@ -85,7 +105,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         from arpd.ros.world import RosControl  # noqa: PLC0415
         from arpd.web.server import HttpServer  # noqa: PLC0415
 
-        link, resting = settings.link.interface, threading.Event()
+        link, resting, durations = settings.link.interface, threading.Event(), new_durations()
         world = RosControl(
             node,
             interface=link,
@@ -93,15 +113,21 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             has_two_ends=link_domain is not None,
         )
         daemon = Daemon(
-            world, settings, interface=link, config_path=str(config_path), estimator=estimator, tell=log_event
+            world,
+            settings,
+            interface=link,
+            config_path=str(config_path),
+            estimator=estimator,
+            tell=log_event,
+            timed=lambda name, took_s: durations[name].observe(took_s),
         )
         diagnostics = Diagnostics(own_node, lambda: daemon.snapshot)
         web = HttpServer(
             settings.http,
             snapshot=lambda: daemon.snapshot,
             directory=config_path.parent,
-            history=daemon.history,
-            durations=daemon.record.durations,
+            history=daemon.record.history,
+            durations=durations.values(),
             resting=resting,
         )
         supervisor = Supervisor(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from enum import StrEnum
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import HEARTBEAT_S
+from arpd.sim.baselines import Oracle
 from arpd.sim.demo import demo_topics
 from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
 from arpd.sim.link import LinkModel, Loopback, SimulatedLink
@@ -23,10 +25,7 @@ from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from arpd.model.settings import Settings
-    from arpd.sim.baselines import Oracle
     from arpd.sim.link import ForeignFlow
     from arpd.sim.result import TopicResult
     from arpd.sim.robot import SimTopic
@@ -42,6 +41,14 @@ _TRUTH_S = 0.2  # the bound knows the mean rate of this time ahead; nobody could
 _PLAIN_HEARTBEAT_S = 3.0  # Fast DDS's default
 _RELAY_HOP_S = 0.0005
 _ON_HOST_S = 0.001
+
+
+class Way(StrEnum):
+    """What governs the robot."""
+
+    ARPD = "arpd"
+    WITHOUT = "without"  # nothing: rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
+    ORACLE = "oracle"  # arpd, with an oracle that knows the link in place of its estimator
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,26 +114,23 @@ class Scenario:
     schedule : rate of the link over run time, each way
     duration_s : length of the run (s)
     seed : of phases, jitter and losses; the same seed gives the same result
-    managed : with arpd; otherwise rclpy's defaults (RELIABLE, KEEP_LAST 10), unpaced
     model : delay, queue, loss and outages of the link
     topics : topics of the robot
     foreign : cross traffic from the robot
     into_peer : other traffic that the peer's interface receives without crossing this link
     has_peer : whether a peer receives probes and sends reports
-    make_estimator : makes an estimator from a function that returns the truth; arpd's own by default
     """
 
     settings: Settings
     schedule: RateSchedule
     duration_s: float
     seed: int = 1
-    managed: bool = True
+    way: Way = Way.ARPD
     model: LinkModel = field(default_factory=LinkModel)
     topics: tuple[SimTopic, ...] = field(default_factory=demo_topics)
     foreign: tuple[ForeignFlow, ...] = ()
     into_peer: tuple[ForeignFlow, ...] = ()
     has_peer: bool = True
-    make_estimator: Callable[[Callable[[], LinkEstimate]], Oracle] | None = None
 
     def play(self) -> ScenarioResult:
         """Run the robot in virtual time; run time begins with its sensors."""
@@ -137,7 +141,7 @@ class _Run:
     """Links, publishers, sources and perhaps arpd of one run, and the moments recorded."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+        self._scenario, self._is_managed = scenario, scenario.way is not Way.WITHOUT
         self._timeline = timeline = Timeline(-_LEAD_S)
         self._service = Service(scenario.schedule)
         self._up, self._down = (
@@ -152,7 +156,7 @@ class _Run:
         self._causes: list[str] = []  # of the plans since the last moment
         self._end: SimulatedEnd | None = None  # the robot's, of a relay with two
         self._populate()
-        if scenario.managed:
+        if self._is_managed:
             self._govern()
 
     def _random(self, purpose: str) -> Random:
@@ -164,7 +168,7 @@ class _Run:
         scenario, timeline = self._scenario, self._timeline
         threads = {node: SimulatedThread(timeline) for node in (RELAY, PLANNER)}
         ends: dict[str, SimulatedEnd] = {}
-        if scenario.managed and scenario.settings.relay.link_domain is not None:
+        if self._is_managed and scenario.settings.relay.link_domain is not None:
             self._end = near = SimulatedEnd(timeline, there=self._up, back=self._down, session=1)
             far = SimulatedEnd(timeline, there=self._down, back=self._up, session=2)
             near.start(far)
@@ -182,7 +186,7 @@ class _Run:
             play_source(timeline, publisher.publish, rate_hz=topic.rate_hz, end_s=scenario.duration_s, random=random)
 
     def _publisher(self, topic: SimTopic, node: str, thread: SimulatedThread) -> SimulatedPublisher:
-        host, managed = Loopback(self._timeline), self._scenario.managed
+        host, managed = Loopback(self._timeline), self._is_managed
         ways: dict[Direction, tuple[Carrier, Carrier]] = {
             Direction.LOCAL: (host, host),
             Direction.SENSING: (self._up, self._down),
@@ -236,7 +240,7 @@ class _Run:
             interface="sim0",
             clock=lambda: clock.now_s,
             wall_clock=lambda: _UNIX_S + clock.now_s,
-            estimator=scenario.make_estimator(self._truth) if scenario.make_estimator else None,
+            estimator=Oracle(self._truth) if scenario.way is Way.ORACLE else None,
         )
         alarm = Alarm(clock, tick)
         alarm.set(clock.now_s + TICK_S)
@@ -307,7 +311,7 @@ class _Run:
 
     def _shown(self) -> dict[str, Any]:
         """Return what a moment has of the daemon."""
-        if not self._scenario.managed or (snapshot := self._daemon.snapshot) is None:
+        if not self._is_managed or (snapshot := self._daemon.snapshot) is None:
             return {}
         cause, self._causes = ", ".join(self._causes), []
         return {
@@ -320,6 +324,6 @@ class _Run:
             "planned": len(snapshot.decision.plan.topics),
             "confirmed": snapshot.confirmed,
             "cause": cause,
-            "probe_bytes": self._world.probes_sent()[1],
+            "probe_bytes": self._daemon.record.probe_bytes,
             "report_bytes": self._world.report_bytes,
         }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from dataclasses import asdict, replace
@@ -33,11 +32,8 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
     from arpd.report.conditions import Event
-    from arpd.report.history import History
     from arpd.sim.baselines import Oracle
     from arpd.solve.link import Link
-
-log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 _RESTING_TICK_S = 0.25  # while next to nothing crosses the link
@@ -70,6 +66,7 @@ class Daemon:
     clock, wall_clock : monotonic and Unix time (s)
     estimator : estimates the capacity; `arpd.estimate.estimator.Estimator` by default
     tell : called with each event of the decision log
+    timed : as of `Record`
 
     Attributes
     ----------
@@ -87,10 +84,11 @@ class Daemon:
         wall_clock: Callable[[], float] = time.time,
         estimator: Estimator | Oracle | None = None,
         tell: Callable[[Event], None] = lambda _event: None,
+        timed: Callable[[str, float], None] = lambda _name, _took_s: None,
     ) -> None:
         self.interface = interface
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
-        self.record = Record(tell=tell)
+        self.record = Record(tell=tell, timed=timed)
         self._world = world
         self._began_s: float | None = None  # when the world was first observed
         self._has_interface = False  # whether it was ever there
@@ -125,11 +123,6 @@ class Daemon:
             return _BUSY_TICK_S
         return _RESTING_TICK_S if link.is_resting else TICK_S
 
-    @property
-    def history(self) -> History:
-        """The last ten minutes."""
-        return self.record.history
-
     def tick(self, now_s: float) -> Decision:
         """Observe → estimate → price; twice a second, or on news, also solve → govern → apply → report."""
         seen = self._observe(now_s)
@@ -137,14 +130,12 @@ class Daemon:
         budget = self._budget.update(now_s, link, headroom=self.settings.link.headroom, topics=self._planned.topics)
         is_planning = self._plan_is_due(now_s, self._news(seen, link))
         if is_planning:
-            self._plan(now_s, seen, link, budget)
+            self._plan(seen, link, budget)
         else:
             self._follow(seen, link, budget)
         if not seen.active_daemon:
             self._send(now_s, link, budget)
-        self._note(now_s, seen, link)
-        if is_planning:
-            self._count(now_s, seen, link)
+        self._note(seen, link, is_planning=is_planning)
         return self._planned.decision
 
     def _observe(self, now_s: float) -> Observation:
@@ -167,7 +158,7 @@ class Daemon:
         is_time = since_s >= _PLAN_S or news != self._facts
         return is_time and since_s >= min(_MOST_REST_S, _RESTS * self._took_s)
 
-    def _plan(self, now_s: float, seen: Observation, link: LinkEstimate, budget: float) -> None:
+    def _plan(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Solve for the budget of this moment and for the lasting one, let the governor decide, and send its plan."""
         traffic = measured_traffic(seen.publishers) if self._estimator.has_evidence else ()
         topics = rows_of_traffic(traffic, self.settings)
@@ -180,31 +171,27 @@ class Daemon:
         lasting = self._program.solve(link_that_lasts, memory_bytes)
         rates = self._program.follow(lasting, self._of_now(topics, seen, link, budget), memory_bytes)
         if seen.active_daemon:
-            decision = self._governor.stand_by()
-        else:
-            decision = self._governor.decide(
-                now_s,
-                state=link.state,
-                rates=rates,
-                lasting=lasting,
-                topics=topics,
-                publishers=seen.publishers,
-                participants=max(1, seen.remote_participants),
-            )
-        come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
-        if seen.active_daemon:
             self._world.stand_by()
-        else:
-            self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=now_s)
+            self._planned = Planned(topics, rates, self._governor.stand_by())
+            return
+        decision = self._governor.decide(
+            seen.now_s,
+            state=link.state,
+            rates=rates,
+            lasting=lasting,
+            topics=topics,
+            publishers=seen.publishers,
+            participants=max(1, seen.remote_participants),
+        )
+        come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
+        self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=seen.now_s)
         self._planned = Planned(topics, rates, decision, come)
 
     def _follow(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Let the price follow the link, by the closed form; the plan in force stays."""
         topics, allocation, decision, come = self._planned
-        price = decision.price
-        if not seen.active_daemon:
-            price = self._of_now(topics, seen, link, budget).price() if topics else None
-            allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
+        price = self._of_now(topics, seen, link, budget).price() if topics and not seen.active_daemon else None
+        allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
         decision = replace(decision, price=price, level_changed=False, reason="")
         self._planned = Planned(topics, allocation, decision, come)
 
@@ -229,38 +216,38 @@ class Daemon:
             self._world.set_price(price)
         for request in self._estimator.wanted_probes(now_s, is_short=math.isfinite(price.share_per_weight)):
             self._world.probe(request)
+            self.record.note_probe(request)
 
-    def _note(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:
+    def _note(self, seen: Observation, link: LinkEstimate, *, is_planning: bool) -> None:
+        """Show what this tick has done, and count it if it planned; after one that raised, the next plans again."""
         finished_s, configuration = self._clock(), self.configuration
-        self.record.note(
-            Snapshot(
-                version=__version__,
-                interface=self.interface,
-                has_interface=self._has_interface,
-                finished_at_s=finished_s,
-                unix_time_s=self._wall_clock(),
-                tick_s=finished_s - now_s,
-                observation=seen,
-                link=link,
-                allocation=self._planned.allocation,
-                decision=self._planned.decision,
-                totals=self.record.totals,
-                settings=self.settings,
-                config_path=configuration.path,
-                config_error=configuration.error,
-                confirmed=self._planned.come.confirmed,
-                lease_s=self.settings.lease_s,
-                config_loaded_at_s=configuration.loaded_at_s,
-                keys_awaiting_restart=configuration.awaiting_restart,
-                events=self.record.events,
-                found=self.record.found,
-            )
+        snapshot = Snapshot(
+            version=__version__,
+            interface=self.interface,
+            has_interface=self._has_interface,
+            finished_at_s=finished_s,
+            unix_time_s=self._wall_clock(),
+            tick_s=finished_s - seen.now_s,
+            observation=seen,
+            link=link,
+            allocation=self._planned.allocation,
+            decision=self._planned.decision,
+            totals=self.record.totals,
+            settings=self.settings,
+            config_path=configuration.path,
+            config_error=configuration.error,
+            confirmed=self._planned.come.confirmed,
+            lease_s=self.settings.lease_s,
+            config_loaded_at_s=configuration.loaded_at_s,
+            keys_awaiting_restart=configuration.awaiting_restart,
+            events=self.record.events,
+            found=self.record.found,
         )
-
-    def _count(self, now_s: float, seen: Observation, link: LinkEstimate) -> None:
-        """Count what a tick that planned has done; after one that raised, the next plans again."""
-        self.record.count(world=self._world, program=self._program, governor=self._governor)
-        self._planned_s, self._took_s, self._facts = now_s, self._clock() - now_s, self._news(seen, link)
+        self.record.note(snapshot)
+        if is_planning:
+            self.record.count(snapshot, program=self._program, governor=self._governor)
+            self._planned_s, self._took_s = seen.now_s, self._clock() - seen.now_s
+            self._facts = self._news(seen, link)
 
     def reload(self, load: Callable[[], Settings]) -> bool:
         """Take a new configuration whole, or keep the old one whole; see `Configuration.reload`."""

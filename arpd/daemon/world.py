@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection
 
     from arpd.model.observation import Observation
     from arpd.model.plan import QosPlan
@@ -36,9 +36,3 @@ class World(Protocol):
 
     def probe(self, request: ProbeRequest) -> None:
         """Put one probe train on the link."""
-
-    def results(self) -> Mapping[str, int]:
-        """Count the answers to plans, by result."""
-
-    def probes_sent(self) -> tuple[int, int]:
-        """Count probes, and their wire bytes."""

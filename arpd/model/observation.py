@@ -63,6 +63,7 @@ class Observation:
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
     peer_clocks : clocks of the peers against this host's, by peer; those that nothing tells are missing
     refused : messages, or parts of them, refused since the start, by kind and reason
+    answers : of nodes to plans since the start, by result (``ok``, ``refused``, ``timeout``)
     pending : publishers that announce themselves but that the graph does not show (yet)
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 4.5 s
@@ -86,6 +87,7 @@ class Observation:
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     peer_clocks: Mapping[str, ClockOffset] = field(default_factory=lambda: MappingProxyType({}))
     refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
+    answers: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     pending: int = 0
     relay: RelaySummary | None = None
     is_relay_silent: bool = False

@@ -20,7 +20,6 @@ from arpd.host.radio import transmit_rate
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
-from arpd.model.wire import probe_wire_bytes
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.inbox import Inbox, Letters
@@ -101,8 +100,6 @@ class RosControl:
         self._graph = Graph()  # of the thread that looks around
         self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
-        self._probes = 0
-        self._probe_bytes = 0
         newest, best_effort, many = (
             QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT) for depth in (1, 100, 1000)
         )
@@ -150,6 +147,7 @@ class RosControl:
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
             refused=self._refused(),
+            answers=self._sender.results,
             pending=self._nodes.pending,
             relay=relay,
             is_relay_silent=self._has_two_ends and relay is None and now_s - self._began_s > SILENT_S,
@@ -185,16 +183,6 @@ class RosControl:
         packets = [encode_probe(replace(head, index=k), payload_bytes=size) for k in range(head.packets)]
         for packet in packets:
             self._probe_publisher.publish(packet)
-        self._probes += 1
-        self._probe_bytes += sum(probe_wire_bytes(len(packet.data)) for packet in packets)
-
-    def results(self) -> Mapping[str, int]:
-        """Count the answers of nodes to plans, by result."""
-        return self._sender.results
-
-    def probes_sent(self) -> tuple[int, int]:
-        """Count probes, and their wire bytes."""
-        return self._probes, self._probe_bytes
 
     # -- what arrives
 

@@ -143,10 +143,10 @@ class SimulatedLinkTopic(SimulatedSource):
         self._price = price
         self._end.retune(self._lane, self._plan, price)
 
-    def state(self, *, generation: int) -> PublisherState:
+    def state(self) -> PublisherState:
         """Return the state to announce."""
         flow = self._lane.state(self.timeline.now_s)
-        return self.told(replace(flow, blocked_s=self._end.held_s, depth=self._plan.depth), generation)
+        return self.told(replace(flow, blocked_s=self._end.held_s, depth=self._plan.depth))
 
     def result(self) -> TopicResult:
         """Return the result of the run."""

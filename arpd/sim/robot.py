@@ -110,11 +110,12 @@ class SimulatedSource:
     Parameters
     ----------
     topic : the topic
-    node, name : of its publisher; its name on the link
+    node : of its publisher
     ingress_s : age of a sample when it gets to the publisher, after the hop to the relay (s)
 
     Attributes
     ----------
+    name : of the topic on the link
     swaps : writer swaps begun since the start
     """
 
@@ -123,6 +124,7 @@ class SimulatedSource:
         self.arrivals = Arrivals(timeline, topic.payload_bytes)
         self.swaps = 0
         self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
+        self.name = name
         self._announced = PublisherState(
             node=node,
             topic=name,
@@ -139,9 +141,9 @@ class SimulatedSource:
         """Return a sample that is published now."""
         return SAMPLE.pack(number, self.timeline.now_s - self._ingress_s) + self._padding
 
-    def told(self, flow: FlowState, generation: int) -> PublisherState:
+    def told(self, flow: FlowState) -> PublisherState:
         """Return the state to announce."""
-        return replace(self._announced, generation=generation, **flow.counted())
+        return replace(self._announced, **flow.counted())
 
     def counted(self, flow: FlowState, expected: int) -> TopicResult:
         """Return the result of the run."""
@@ -214,9 +216,9 @@ class SimulatedPublisher(SimulatedSource):
         self._flow.set_loss(None if price is None else price.loss_ratio)
         self._thread.retune(self._flow.lane, self._flow.plan, price)
 
-    def state(self, *, generation: int) -> PublisherState:
+    def state(self) -> PublisherState:
         """Return the state to announce."""
-        return self.told(self._flow.state(), generation)
+        return self.told(self._flow.state())
 
     def result(self) -> TopicResult:
         """Return the result of the run."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -21,7 +20,7 @@ from arpd.sim.link import FRAME_BYTES
 from arpd.sim.timeline import Alarm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from random import Random
 
     from arpd.model.endpoints import PublisherState
@@ -99,9 +98,8 @@ class SimulatedWorld:
         self._on_report_arrived = on_report
         self._reports: list[PeerReport] = []
         self._reported_s = -math.inf  # when the peer was heard last
-        self._results: Counter[str] = Counter()
         self._asked_generation, self._asked_at_s = -1, -math.inf
-        self._probes = self._probe_bytes = self.report_bytes = 0
+        self.report_bytes = 0
         # The receiver on the base computer.
         self._receiver, self._schedule = Receiver(), ReportSchedule(self._soon_s())
         self._received = 0, 0  # bytes and packets by its last report
@@ -179,21 +177,11 @@ class SimulatedWorld:
 
     def probe(self, request: ProbeRequest) -> None:
         """Send one train or ping over the link."""
-        self._probes += 1
         wire_bytes = probe_wire_bytes(request.packet_bytes)
-        self._probe_bytes += request.packets * wire_bytes
         for index in range(request.packets):
             sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
             arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else _nobody
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
-
-    def results(self) -> Mapping[str, int]:
-        """Return the answers to plans, by result."""
-        return dict(self._results)
-
-    def probes_sent(self) -> tuple[int, int]:
-        """Return the number of probes and their wire bytes."""
-        return self._probes, self._probe_bytes
 
     # -- on the nodes
 
@@ -209,13 +197,9 @@ class SimulatedWorld:
             publisher.set_price(price)
 
     def _on_plan(self, node: _Node, plan: QosPlan, lease_s: float) -> None:
-        if plan.generation < node.generation:
-            self._results["refused"] += 1
-            return
-        self._results["ok"] += 1
         node.generation, node.lease_s = plan.generation, lease_s
         for publisher in node.publishers:
-            if (row := plan.topics.get(publisher.state(generation=0).topic)) is not None:
+            if (row := plan.topics.get(publisher.name)) is not None:
                 publisher.retune(row)
 
     def _tell(self, node: _Node) -> None:
@@ -224,7 +208,8 @@ class SimulatedWorld:
             for publisher in node.publishers:
                 publisher.set_price(replace(node.price, is_stale=True))
         states = tuple(
-            replace(publisher.state(generation=node.generation), lease_s=node.lease_s) for publisher in node.publishers
+            replace(publisher.state(), generation=node.generation, lease_s=node.lease_s)
+            for publisher in node.publishers
         )
         deliver = partial(self._on_snapshot, node, states)
         if node.is_remote:

@@ -17,10 +17,9 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from arpd.daemon import scenario as simulated
-from arpd.daemon.compare import WARM_UP_S, between, summarize
+from arpd.daemon.summary import WARM_UP_S, between, summarize
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
-from arpd.sim.baselines import Oracle
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.result import percentile
@@ -100,7 +99,7 @@ class Scenario:
             into_peer=self.into_peer,
             has_peer=self.has_peer,
             topics=self.robot,
-            make_estimator=Oracle if way == BOUND else None,
+            way=simulated.Way.ORACLE if way == BOUND else simulated.Way.ARPD,
         ).play()
 
 

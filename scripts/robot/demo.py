@@ -198,14 +198,14 @@ def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
 
 def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides in virtual time."""
-    from arpd.daemon.scenario import Scenario
+    from arpd.daemon.scenario import Scenario, Way
     from arpd.sim.demo import demo_settings
 
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
-        for is_managed in (False, True):
+        for is_managed, way in enumerate((Way.WITHOUT, Way.ARPD)):
             shown(float(is_managed), "with arpd" if is_managed else "without arpd")
-            sides.append(Scenario(demo_settings(), schedule, duration_s, managed=is_managed).play().topics)
+            sides.append(Scenario(demo_settings(), schedule, duration_s, way=way).play().topics)
     return pair_up(*sides)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prometheus_client import CollectorRegistry, generate_latest
 
-from arpd.daemon.record import new_durations
+from arpd.daemon.run import new_durations
 from arpd.web.access import HttpCounts
 from arpd.web.metrics import SnapshotCollector
 from tests.golden.sample import FINISHED_AT_S
@@ -23,7 +23,7 @@ def exposition(snapshot) -> str:
     registry.register(SnapshotCollector(lambda: snapshot, clock=lambda: FINISHED_AT_S + 0.25))
     HttpCounts(registry)
     seen_s = ((0.0078125, 3.0), (0.0, 0.0625), (0.000125,))
-    for histogram, observed_s in zip(durations, seen_s, strict=True):
+    for histogram, observed_s in zip(durations.values(), seen_s, strict=True):
         registry.register(histogram)
         for each_s in observed_s:
             histogram.observe(each_s)

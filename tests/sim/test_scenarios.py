@@ -7,8 +7,8 @@ from functools import cache
 
 import pytest
 
-from arpd.daemon.compare import between
-from arpd.daemon.scenario import Scenario
+from arpd.daemon.scenario import Scenario, Way
+from arpd.daemon.summary import between
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
@@ -25,11 +25,11 @@ SEEDS = (1, 4)
 
 
 @cache
-def play(schedule, duration_s, *, managed=True, seed=1, outages=(), loss=0.0, link=None, foreign=()):
+def play(schedule, duration_s, *, way=Way.ARPD, seed=1, outages=(), loss=0.0, link=None, foreign=()):
     settings = demo_settings() if link is None else replace(demo_settings(), link=link)
     model = LinkModel(outages=outages, loss=loss)
     return Scenario(
-        settings, RateSchedule.parse(schedule), duration_s, seed=seed, managed=managed, model=model, foreign=foreign
+        settings, RateSchedule.parse(schedule), duration_s, seed=seed, way=way, model=model, foreign=foreign
     ).play()
 
 
@@ -83,8 +83,8 @@ def test_an_overloaded_link_is_kept_free_of_a_queue():
 def test_through_a_fall_every_topic_is_fresher_with_arpd(topic, seed):
     """With arpd, p99 latency and p99 age are lower and loss is not higher than with rclpy's defaults."""
     without, managed = (
-        next(result for result in play(STEP, STEP_S, managed=m, seed=seed).topics if result.topic == topic)
-        for m in (False, True)
+        next(result for result in play(STEP, STEP_S, way=way, seed=seed).topics if result.topic == topic)
+        for way in (Way.WITHOUT, Way.ARPD)
     )
     assert managed.loss_ratio <= without.loss_ratio
     assert managed.latency_p99_s < latency(without)
@@ -93,7 +93,7 @@ def test_through_a_fall_every_topic_is_fresher_with_arpd(topic, seed):
 
 def test_commands_are_as_prompt_with_arpd_as_without():
     """Commands, whose direction is not overloaded, are not later and not lost."""
-    commands = [play(STEP, STEP_S, managed=m).topics[-1] for m in (False, True)]
+    commands = [play(STEP, STEP_S, way=way).topics[-1] for way in (Way.WITHOUT, Way.ARPD)]
     assert commands[1].lost == 0
     assert commands[1].latency_p99_s < commands[0].latency_p99_s + 0.005
     assert commands[1].age_p99_s < commands[0].age_p99_s + 0.06
@@ -230,8 +230,8 @@ def test_a_pinned_capacity_costs_no_probe_and_is_obeyed():
 
 def test_nothing_is_created_or_forgotten():
     """Every offered sample is withheld, sent or the last one waiting; every sent sample arrives or is lost."""
-    for managed in (False, True):
-        for topic in play(STEP, STEP_S, managed=managed).topics:
+    for way in (Way.WITHOUT, Way.ARPD):
+        for topic in play(STEP, STEP_S, way=way).topics:
             assert 0 <= topic.offered - topic.withheld - topic.sent <= 1
             assert topic.received + topic.lost == topic.sent
             assert topic.doubled == 0

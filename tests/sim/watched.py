@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unittest import mock
 
 from arpd.daemon import scenario
-from arpd.daemon.compare import between
+from arpd.daemon.summary import between
 from arpd.daemon.tick import Daemon
 from arpd.sim.world import SimulatedWorld
 

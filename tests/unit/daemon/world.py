@@ -58,11 +58,5 @@ class World:
     def probe(self, request):
         self.probes.append(request)
 
-    def results(self):
-        return {}
-
     def stand_by(self):
         self.stood_by = True
-
-    def probes_sent(self):
-        return 0, 0

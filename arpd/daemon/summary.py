@@ -1,18 +1,17 @@
-"""One scenario run three ways: with arpd, without it, and with an oracle in place of arpd's estimator."""
+"""Figures of a simulated run over a span of time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from arpd.sim.baselines import Oracle
 from arpd.sim.result import percentile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
-    from arpd.daemon.scenario import Moment, Scenario, ScenarioResult
+    from arpd.daemon.scenario import Moment, ScenarioResult
 
 WARM_UP_S = 10.0  # until the link is measured and the first plan applied; not part of any summary
 
@@ -43,25 +42,6 @@ class Summary:
     plans_per_minute: float
     swaps_per_minute: float
     measuring_share: float
-
-
-def compare(scenario: Scenario, *, on_way: Callable[[str], None] = lambda _: None) -> Mapping[str, ScenarioResult]:
-    """Run a scenario with arpd three times; return the results by way: ``arpd``, ``without`` and ``oracle``.
-
-    Parameters
-    ----------
-    on_way : called with the name of each way before it runs
-    """
-    ways = {
-        "arpd": scenario,
-        "without": replace(scenario, managed=False),
-        "oracle": replace(scenario, make_estimator=Oracle),
-    }
-    found: dict[str, ScenarioResult] = {}
-    for way, each in ways.items():
-        on_way(way)
-        found[way] = each.play()
-    return found
 
 
 def summarize(result: ScenarioResult, *, start_s: float, end_s: float) -> Summary:
