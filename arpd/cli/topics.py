@@ -156,8 +156,6 @@ def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings)
     guess = first_guess(listed.topics)
     origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
     sys.stdout.write(first_file(guess, settings, guessed_from=guessed_from, origin=origin))
-    if guess.left_out:
-        _remark(f"left out, because their names are too long to cross: {', '.join(guess.left_out)}")
     _remark("weights and minimum rates are guesses: read them, then `arpd check FILE`")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from datetime import UTC, datetime
 from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
@@ -118,6 +117,4 @@ def _of_configuration(snapshot: Snapshot) -> dict[str, str]:
 
 
 def _time(unix_time_s: float) -> str:
-    if not (math.isfinite(unix_time_s) and 0 <= unix_time_s < 2**40):
-        return "unknown"
     return datetime.fromtimestamp(unix_time_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

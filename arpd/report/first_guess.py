@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.names import LONGEST_NAME, is_hidden, is_internal
+from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate
 from arpd.model.settings import TopicGroup, TopicSettings
 from arpd.model.wire import wire_size
@@ -135,18 +135,15 @@ class FirstGuess:
     ----------
     topics : the most important ones first
     groups : pictures that cross together with their camera_info
-    left_out : topics that no configuration can name
     """
 
     topics: tuple[TopicGuess, ...]
     groups: tuple[TopicGroup, ...]
-    left_out: tuple[str, ...]
 
 
 def first_guess(topics: Iterable[LinkTopic]) -> FirstGuess:
     """Return preferences for topics: pure; topics of ROS, of arpd and hidden ones get none."""
-    found = [topic for topic in topics if not is_internal(topic.name) and not is_hidden(topic.name)]
-    named = {topic.name: topic for topic in found if len(topic.name) <= LONGEST_NAME}
+    named = {each.name: each for each in topics if not is_internal(each.name) and not is_hidden(each.name)}
     groups = tuple(_groups([*named.values()]))
     others = {group.name: named[group.topics[1]] for group in groups}
     grouped = {other.name for other in others.values()}
@@ -154,7 +151,6 @@ def first_guess(topics: Iterable[LinkTopic]) -> FirstGuess:
     return FirstGuess(
         topics=tuple(sorted(guesses, key=lambda guess: (-guess.settings.weight, guess.settings.name))),
         groups=groups,
-        left_out=tuple(topic.name for topic in found if len(topic.name) > LONGEST_NAME),
     )
 
 

@@ -103,7 +103,7 @@ class Status:
 
     Parameters
     ----------
-    ready : true
+    ready : true; false in that answer before the first tick
     unix_time_s, age_s : end of the tick by the wall clock, and the time since, by the daemon's own clock (s)
     tick_s : duration of the tick (s)
     verdict : the condition of link and plan that matters most
@@ -129,7 +129,7 @@ class Status:
 
     api_version: str = API_VERSION
     version: str
-    ready: bool = True
+    ready: bool
     unix_time_s: float
     age_s: float
     tick_s: float
@@ -202,6 +202,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
     observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
     head = Status(
         version=snapshot.version,
+        ready=True,
         unix_time_s=snapshot.unix_time_s,
         age_s=max(0.0, now_s - snapshot.finished_at_s),
         tick_s=snapshot.tick_s,

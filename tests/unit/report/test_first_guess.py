@@ -47,10 +47,14 @@ TOPIC = st.builds(
 TOPICS = st.lists(TOPIC, max_size=25, unique_by=lambda each: each.name)
 
 
-def guess_of(kind, rate_hz, size, **other):
-    """Return the guess for one topic of the robot."""
+def topic_of(kind, rate_hz, size, *, name="/a", **other):
+    """Return one topic of the robot."""
     traffic = TopicTraffic(samples=50, rate_hz=rate_hz, mean_bytes=size, largest_bytes=int(size))
-    (guess,) = first_guess([LinkTopic(name="/a", types=(kind,), writers=("/node",), traffic=traffic, **other)]).topics
+    return LinkTopic(name=name, types=(kind,), writers=("/node",), traffic=traffic, **other)
+
+
+def guess_of(*topic, **other):
+    (guess,) = first_guess([topic_of(*topic, **other)]).topics
     return guess
 
 
@@ -71,6 +75,17 @@ def test_a_video_is_not_thinned_like_pictures():
         assert "WARNING" in guess.role.reason
     assert guess_of("sensor_msgs/msg/CompressedImage", 30.0, 20_000.0).settings.min_rate_hz < 5
     assert guess_of("rosgraph_msgs/msg/Clock", 940.0, 8.0).settings.min_rate_hz >= 50, "nodes stand still between two"
+
+
+def test_a_picture_crosses_together_with_its_camera_info():
+    """Neither is of use without the other; of several pictures it is the one that suits Wi-Fi best."""
+    raw = topic_of("sensor_msgs/msg/Image", 30.0, 9e5, name="/camera/image")
+    small = topic_of("sensor_msgs/msg/CompressedImage", 30.0, 40_000.0, name="/camera/image/compressed")
+    info = topic_of("sensor_msgs/msg/CameraInfo", 29.9, 400.0, name="/camera/camera_info")
+    guess = first_guess([info, raw, small])
+    assert [group.topics for group in guess.groups] == [(small.name, info.name)]
+    sizes = {each.settings.name: each.settings.payload_bytes for each in guess.topics}
+    assert sizes == {raw.name: 9e5, small.name: 40_400.0}
 
 
 @examples(100)
