@@ -27,7 +27,7 @@ _NUMBER_BYTES = 8
 
 
 class Kind(IntEnum):
-    """Kind of a record: the caller sends the first two, the callee the others.
+    """Kind of a record: the caller sends the first three, the callee the others.
 
     WAITING has the numbers of all calls that wait, and as its own that of the last one that was made. MISSING asks for
     a request.
@@ -35,9 +35,10 @@ class Kind(IntEnum):
 
     REQUEST = 1
     WAITING = 2
-    MISSING = 3
-    ANSWER = 4
-    FAILURE = 5
+    GIVEN_UP = 3
+    MISSING = 4
+    ANSWER = 5
+    FAILURE = 6
 
 
 class Record(NamedTuple):
@@ -111,12 +112,15 @@ class CallBook:
 
     Parameters
     ----------
+    session : of this process, 32 bit
     send : writes one record to the link, in the place of one with the same source that still waits there
     run : called once per call of the other end; `finish` ends it, at once or later
     """
 
-    def __init__(self, *, send: Callable[[bytes, int], None], run: Callable[[CallId, Request], None]) -> None:
-        self._send, self._run = send, run
+    def __init__(
+        self, session: int, *, send: Callable[[bytes, int], None], run: Callable[[CallId, Request], None]
+    ) -> None:
+        self._session, self._send, self._run = session, send, run
         self._other = 0  # session of the other end
         self._is_reachable = False
         self._waiting: dict[int, _Waiting] = {}  # calls to the other end, by number
@@ -125,11 +129,6 @@ class CallBook:
         # Calls of the other end: None while one runs, then the record of its outcome, empty where nobody waits; the
         # last used last.
         self._calls: dict[CallId, bytes | None] = {}
-
-    @property
-    def under_way(self) -> tuple[int, int]:
-        """Count the calls to the other end that wait, and those of the other end that run."""
-        return len(self._waiting), sum(record is None for record in self._calls.values())
 
     def runs(self, call: CallId) -> bool:
         """Return whether somebody waits for the outcome of a call that runs."""
@@ -151,15 +150,16 @@ class CallBook:
             for call in [each for each in self._calls if each.caller != other]:
                 self._close(call)
 
-    def receive(self, sender: int, record: Record) -> None:
+    def receive(self, sender: int, data: bytes) -> None:
         """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
 
         Raises
         ------
         ValueError
-            If its body is malformed.
+            If the bytes are none.
         """
-        if sender != self._other:
+        record = Record.decode(data)
+        if sender != self._other or record.to != self._session:
             return
         if record.kind is Kind.REQUEST:
             service, type_name, body = record.body.split(b"\0", 2)
@@ -169,6 +169,8 @@ class CallBook:
             if odd or count > MOST_CALLS:
                 raise ValueError(f"{len(record.body)} bytes of numbers of calls")
             self._settle(record.number, {*struct.unpack(f">{count}Q", record.body)})
+        elif record.kind is Kind.GIVEN_UP:
+            self._close(CallId(sender, record.number))
         elif (call := self._waiting.get(record.number)) is None:
             return
         elif record.kind is Kind.MISSING:
@@ -177,7 +179,7 @@ class CallBook:
             outcome: Outcome = record.body
             if record.kind is Kind.FAILURE:
                 reason, _, message = record.body.decode().partition("\0")
-                outcome = CallFailure(FailureReason(reason), message)
+                outcome = CallFailure(FailureReason(reason), f"the other end says: {message}")
             del self._waiting[record.number]
             if len(record.body) > SMALL_BYTES:
                 self._tell()  # the other end has no room for many
@@ -224,12 +226,13 @@ class CallBook:
 
     def _give_up(self, numbers: Iterable[int], reason: FailureReason, message: str) -> None:
         for number, call in [(number, self._waiting.pop(number)) for number in numbers]:
-            self._tell(number)  # takes the place of its request where that has not left yet
+            # Takes the place of its request where that has not left yet.
+            self._send(Record(Kind.GIVEN_UP, self._other, number).encode(), number)
             call.on_end(CallFailure(reason, message))
 
-    def _tell(self, source: int = 0) -> None:
+    def _tell(self) -> None:
         numbers = struct.pack(f">{len(self._waiting)}Q", *self._waiting)
-        self._send(Record(Kind.WAITING, self._other, self._number, numbers).encode(), source)
+        self._send(Record(Kind.WAITING, self._other, self._number, numbers).encode(), 0)
 
     # -- calls of the other end
 
@@ -250,7 +253,7 @@ class CallBook:
         if call in self._calls:
             self._repeat(call)
             return
-        _, running = self.under_way
+        running = sum(record is None for record in self._calls.values())
         self._calls[call] = None
         if running < MOST_CALLS:
             self._run(call, request)
@@ -275,9 +278,10 @@ class CallBook:
 
     def _close(self, call: CallId) -> None:
         """Forget the outcome of a call, but not that it ran."""
-        record, self._calls[call] = self._calls[call], b""
-        if record and len(record) > SMALL_BYTES:
-            self._ask(call)  # takes the place of the answer where that has not left yet
+        if call in self._calls:
+            record, self._calls[call] = self._calls[call], b""
+            if record and len(record) > SMALL_BYTES:
+                self._ask(call)  # takes the place of the answer where that has not left yet
 
     def _ask(self, call: CallId) -> None:
         self._send(Record(Kind.MISSING, *call).encode(), -call.number)

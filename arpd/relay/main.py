@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
+import os
 import platform
 import re
 import threading
+import time
 from contextlib import closing
-from functools import partial
 from typing import TYPE_CHECKING
+
+from std_msgs.msg import UInt8MultiArray
 
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
@@ -19,10 +23,10 @@ from arpd.host.notify import Notifier, Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
 from arpd.relay.ends.end import End
-from arpd.relay.ends.link import check_deaf_to_itself
 from arpd.relay.ends.prefix import Prefixed
 from arpd.ros.rmw import current_rmw
 from arpd.ros.runtime import (
+    PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     prepare_environment,
     ros_node,
@@ -34,6 +38,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from rclpy.node import Node
+
+    from arpd.endpoint.writing_thread import WritingThread
+    from arpd.ros.raw_reader import ReadingThread
     from arpd.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
@@ -70,7 +78,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     link = AUTO if is_far else settings.link.interface  # the file names the robot's
     addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
 
-    def serve(step: Callable[[], None], every_s: float, parts: Sequence[Callable[[], float]]) -> None:
+    def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
+        parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later
         heartbeat = Watchdog(notifier, parts=parts)
         notifier.ready()
         try:
@@ -86,14 +95,14 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
             check_middleware(current_rmw())
             check_deaf_to_itself(node)
             with closing(End(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end:
-                serve(end.tick, _TICK_S, [partial(getattr, each, "finished_s") for each in end.threads])
+                serve(end.tick, _TICK_S, end.threads)
     elif is_far:
         log.info(reason := f"nothing to do: relay.link_domain is not set in {config_path}")
         notifier.status(reason)
-        serve(lambda: None, _IDLE_S, ())
+        serve(lambda: None, _IDLE_S)
     else:
         with ros_node(name) as node, closing(Prefixed(node, relay, on_change=notifier.status)) as prefixed:
-            serve(prefixed.look, _LOOK_S, prefixed.participants.parts)
+            serve(prefixed.look, _LOOK_S, prefixed.threads)
     return 0
 
 
@@ -117,4 +126,26 @@ def check_middleware(rmw: Rmw) -> None:
         raise RosUnavailableError(
             f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
             "it, or remove relay.link_domain"
+        )
+
+
+def check_deaf_to_itself(node: Node) -> None:
+    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
+
+    Raises
+    ------
+    RosUnavailableError
+        If endpoints of one participant match each other.
+    """
+    publisher = node.create_publisher(UInt8MultiArray, "~/check", 1)
+    subscription = node.create_subscription(UInt8MultiArray, "~/check", lambda _sample: None, 1)
+    time.sleep(0.1)
+    hears_itself = publisher.get_subscription_count() > 0
+    node.destroy_subscription(subscription)
+    node.destroy_publisher(publisher)
+    if hears_itself:
+        variables = " and ".join(name for name in PROFILE_VARIABLES if name in os.environ)
+        raise RosUnavailableError(
+            "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {variables}"
         )

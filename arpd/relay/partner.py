@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -22,45 +21,45 @@ class Partner:
     """
 
     def __init__(self) -> None:
-        self._heard_s: dict[int, float] = {}  # last sign of life by session
-        self._states: dict[int, EndState] = {}
-        self._session = 0
-        self._is_gone = False
+        self._states: dict[int, EndState] = {}  # newest of each session
+        self._heard_s: dict[int, float] = {}  # last sign of life of each
+        self._session = 0  # in force
 
-    @property
-    def state(self) -> EndState | None:
-        """Newest state of the session in force, None while it is gone; it may return, and says nothing new then."""
-        return None if self._is_gone else self._states.get(self._session)
+    def tell(self, state: EndState, now_s: float) -> None:
+        """Take a state, which is a sign of life, too."""
+        self._states[state.session] = state
+        self._heard_s[state.session] = now_s
 
-    def hear(self, session: int, now_s: float, state: EndState | None = None) -> None:
-        """Take a sign of life, with or without a state."""
-        self._heard_s[session] = now_s
-        known = self._states.get(session)
-        if state is not None and (known is None or state.serial > known.serial):
-            self._states[session] = state
+    def hear(self, session: int, now_s: float) -> None:
+        """Take a sign of life; one before the first state says nothing."""
+        if session in self._states:
+            self._heard_s[session] = now_s
 
-    def look(self, now_s: float) -> None:
-        """Choose the session in force."""
-        for session in [each for each, heard_s in self._heard_s.items() if now_s - heard_s > _GONE_S]:
-            if session != self._session:
-                del self._heard_s[session]
-                self._states.pop(session, None)
-        if now_s - self._heard_s.get(self._session, -math.inf) <= REPLACED_S and self._session in self._states:
-            self._is_gone = False
-            return
-        heard = [each for each in self._states if now_s - self._heard_s[each] <= REPLACED_S]
-        if heard or self._session not in self._states:
-            self._session = max(heard, key=lambda each: self._heard_s[each], default=self._session)
-        self._is_gone = now_s - self._heard_s.get(self._session, -math.inf) > _GONE_S
+    def look(self, now_s: float) -> EndState | None:
+        """Choose the session in force; return its newest state, None while it is gone.
+
+        It may return, and says nothing new then, so its state is kept.
+        """
+        for session in [
+            each for each in self._states if each != self._session and not self._spoke(each, now_s, _GONE_S)
+        ]:
+            del self._states[session], self._heard_s[session]
+        speaking = [each for each in self._states if self._spoke(each, now_s, REPLACED_S)]
+        if speaking and self._session not in speaking:
+            self._session = max(speaking, key=lambda each: self._heard_s[each])
+        return self._states.get(self._session) if self._spoke(self._session, now_s, _GONE_S) else None
 
     def is_reachable(self, now_s: float) -> bool:
         """Return whether the session in force spoke lately."""
-        return self.state is not None and now_s - self._heard_s[self._session] <= _SILENT_S
+        return self._spoke(self._session, now_s, _SILENT_S)
 
     def others(self, now_s: float) -> list[str]:
         """Name the hosts of other sessions that speak beside the one in force."""
         return sorted(
             state.host
             for session, state in self._states.items()
-            if session != self._session and now_s - self._heard_s[session] <= REPLACED_S
+            if session != self._session and self._spoke(session, now_s, REPLACED_S)
         )
+
+    def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
+        return session in self._heard_s and now_s - self._heard_s[session] <= within_s

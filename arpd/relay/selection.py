@@ -56,6 +56,10 @@ class Side:
         """Return the name on the robot of what has this name here, None if it lies outside the namespace."""
         return local.removeprefix(self._namespace) if local.startswith(f"{self._namespace}/") else None
 
+    def node_name(self, local: str) -> str:
+        """Return the name on the robot of a node here; one outside the namespace has the same there."""
+        return self.robot_name(local) or local
+
     def may_leave(self, name: str) -> bool:
         """Return whether the topic may cross from this side to the other."""
         return self._is_allowed(name, self._leaving, of_actions=_ACTION_TOPICS)

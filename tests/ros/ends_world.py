@@ -6,14 +6,16 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.relay.ends.offers import EndState, decode_state, encode_state
-from arpd.relay.envelope import wrap
+from arpd.relay.envelope import WRAP, Chunk, encode_chunk, wrap
 from arpd.relay.flight import Sign, encode_sign
 from arpd.ros.graph_view import GraphView
 from tests.ros.world import DOMAIN, Ros
@@ -28,7 +30,7 @@ class TwoEnds:
     def __init__(self, folder, stack, relay=(), domains=(ROBOT, BASE)):
         self._folder = folder
         self._stack = self.nodes = stack
-        self._domains = dict(zip(("robot", "base"), domains, strict=True))
+        self._domains = dict(zip(("robot", "base", "link"), (*domains, LINK), strict=True))
         self.config = folder / "arpd.yaml"
         lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", *(f"  {line}" for line in relay)]
         self.config.write_text("relay:\n" + "\n".join(lines) + "\n")
@@ -69,16 +71,9 @@ class TwoEnds:
             process.send_signal(number)
         return process.wait(timeout=60)
 
-    def side(self, end):
-        """Return a maker of nodes on one side, all in one participant; the stack ``nodes`` destroys them."""
-        return self._side(self._domains[end])
-
-    def link_side(self):
-        """Return a maker of nodes in the domain of the link."""
-        return self._side(LINK)
-
-    def _side(self, domain):
-        return Ros(self.nodes, domain)
+    def side(self, name):
+        """Return a maker of nodes on one side, or on the link, all in one participant; ``nodes`` destroys them."""
+        return Ros(self.nodes, self._domains[name])
 
     def _listen(self, end):
         address = f"\0arpd-test-{os.getpid()}-{end}-{len(self.processes)}-{os.urandom(4).hex()}"
@@ -104,12 +99,12 @@ class Stranger:
     session = 1
 
     def __init__(self, node, **state):
-        self.node = node
+        self.node, self._chunks = node, count(1)
         self._told = listen(node, "/arpd/relay/robot", latched(1), UInt8MultiArray)
         self._signs = node.create_publisher(UInt8MultiArray, "/arpd/relay/base/alive", 1)
         self._states = node.create_publisher(UInt8MultiArray, "/arpd/relay/base", latched(1))
         link_gids = GraphView.of(node).own.participant.hex()
-        told = EndState(session=self.session, serial=1, link_gids=link_gids, **state)
+        told = EndState(session=self.session, link_gids=link_gids, **state)
         self._states.publish(wrap(encode_state(told)))
 
     @property
@@ -120,6 +115,12 @@ class Stranger:
     def live(self):
         """Send a sign of life."""
         self._signs.publish(wrap(encode_sign(Sign(self.session))))
+
+    def send(self, publisher, message, *, late_s=0.0):
+        """Write a message to a topic of the link, as if it had left so long ago."""
+        number, departed_us = next(self._chunks), int((time.monotonic() - late_s) * 1e6) % WRAP
+        chunk = Chunk(self.session, number, departed_us, number, 0, len(message), is_kept=False, part=message)
+        publisher.publish(encode_chunk(chunk))
 
 
 RELIABLE = QoSProfile(depth=1000)

@@ -2,14 +2,12 @@
 
 import time
 from contextlib import ExitStack
-from itertools import count
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("test_msgs", reason="test_msgs is not installed")
 
-import rclpy
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, ActionServer, CancelResponse
@@ -23,7 +21,7 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
 from arpd.relay.calls import Kind, Record
-from arpd.relay.envelope import Chunk, decode_chunk, encode_chunk, wrap
+from arpd.relay.envelope import decode_chunk, wrap
 from tests.ros.ends_world import RELIABLE, Stranger, TwoEnds, listen
 
 
@@ -47,11 +45,10 @@ class Doubler:
         return response
 
 
-def silent_server(ends, side):
+def silent_server(ends, side, name="/set_camera_info"):
     """Serve a service that never answers: nobody spins its node."""
-    node = rclpy.create_node("camera", context=ends.side(side).context)
-    ends.nodes.callback(node.destroy_node)
-    return node, node.create_service(SetCameraInfo, "/set_camera_info", lambda _request, response: response)
+    node = ends.side(side).idle_node(f"camera{name.replace('/', '_')}")
+    return node, node.create_service(SetCameraInfo, name, lambda _request, response: response)
 
 
 def doubled(client, number, eventually):
@@ -116,18 +113,15 @@ def test_an_end_serves_nothing_that_it_does_not_offer(world, eventually):
     """A request for a service that is not allowed, from an end that asks for it all the same, never runs."""
     ends = world("services: [/double]").start("robot")
     secret = Doubler(ends.side("robot").node("safe"), "/secret")
-    stranger = Stranger(ends.link_side().node("stranger"))
+    stranger = Stranger(ends.side("link").node("stranger"))
     calls = stranger.node.create_publisher(UInt8MultiArray, "/arpd/relay/base/calls", RELIABLE)
-    heard, numbers = listen(stranger.node, "/arpd/relay/robot/calls", RELIABLE, UInt8MultiArray), count(1)
+    heard = listen(stranger.node, "/arpd/relay/robot/calls", RELIABLE, UInt8MultiArray)
 
     def is_refused():
         stranger.live()
         if (state := stranger.offered) is not None:
             body = b"/secret\0test_msgs/srv/BasicTypes\0" + bytes(serialize_message(BasicTypes.Request()))
-            record = Record(Kind.REQUEST, state.session, 1, body).encode()
-            number = next(numbers)
-            chunk = Chunk(stranger.session, number, 0, number, 0, len(record), is_kept=True, part=record)
-            calls.publish(encode_chunk(chunk))
+            stranger.send(calls, Record(Kind.REQUEST, state.session, 1, body).encode())
         records = [Record.decode(decode_chunk(wrap(bytes(data))).part) for data in heard]
         return any(record.kind is Kind.FAILURE and record.body.startswith(b"no_server") for record in records)
 
@@ -200,6 +194,22 @@ def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
 
     eventually("a call is answered again", is_answered)
     assert doubler.runs.count(3) == 1
+
+
+def test_calls_of_an_end_that_is_away_fail(world, eventually):
+    """Every caller hears of it, and then the services are not there; without an answer a call would wait for ever."""
+    ends = world("services: [/**]").start()
+    servers = [silent_server(ends, "robot", f"/camera_{number}") for number in range(8)]
+    user = ends.side("base").node("user")
+    clients = [user.create_client(SetCameraInfo, server.srv_name) for _, server in servers]
+    for client in clients:
+        eventually("its service crosses", client.service_is_ready)
+    futures = [client.call_async(SetCameraInfo.Request()) for client in clients]
+    ends.end("robot")
+    words = {finished(eventually, future).status_message for future in futures}
+    assert words == {"arpd relay: the other end became unreachable"}
+    for client in clients:
+        eventually("its service is there no more", lambda client=client: not client.service_is_ready())
 
 
 def test_a_service_that_both_sides_serve_is_refused(world, eventually):

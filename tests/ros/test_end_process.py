@@ -8,10 +8,25 @@ from test_msgs.srv import BasicTypes
 
 from tests.ros.ends_world import TwoEnds
 
+PROFILE = """<?xml version="1.0"?>
+<profiles xmlns="http://www.eprosima.com"><participant profile_name="own" is_default_profile="true"/></profiles>
+"""
+
 
 @pytest.fixture
 def ends(ros, stack, tmp_path):
     return TwoEnds(tmp_path, stack, ["services: [/add]"])
+
+
+@pytest.mark.parametrize("variable", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
+def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(ends, tmp_path, variable):
+    """An end that starts with such a profile ends at once, and says what to add or to unset."""
+    (tmp_path / "own.xml").write_text(PROFILE)
+    ends.start("robot", **{variable: tmp_path / "own.xml"})
+    assert ends.processes["robot"].wait(60) > 0
+    log = (tmp_path / "robot.log").read_text()
+    assert "fastdds.ignore_local_endpoints=true" in log
+    assert log.rstrip().endswith(f"or unset {variable}")
 
 
 def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(

@@ -16,8 +16,8 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
-from arpd.relay.ends.offers import ServiceOffer, TopicOffer, WriterOffer, decode_state
-from arpd.relay.envelope import WRAP, Chunk, Record, encode_chunk, pack, writer_key
+from arpd.relay.ends.offers import VERSION, ServiceOffer, TopicOffer, WriterOffer, decode_state
+from arpd.relay.envelope import Record, pack, writer_key
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import RELIABLE, ROBOT, Counter, Stranger, TwoEnds, is_whole, latched, listen, numbers
@@ -208,7 +208,7 @@ def test_a_ghost_offers_the_deadline_that_is_planned_for_the_link(ends, talking,
     far = ends.side("base").node("planner")
     received = listen(far, "/planned")
     eventually("samples arrive", lambda: len(received) > 20)
-    daemon = ends.link_side().node("daemon")
+    daemon = ends.side("link").node("daemon")
     row = TopicPlan(rate_hz=1000.0, min_rate_hz=1.0, deadline_ns=400_000_000, depth=400, **TERMS)
     Plans(daemon)(1, {"/planned": row})
 
@@ -258,7 +258,7 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     node = ends.side("robot").node("map_server")
     still, other = Counter(node, String, "/map", latched(1)), Counter(node, String, "/other", RELIABLE)
     still.publish()
-    dead, living = ends.link_side().node("dead"), ends.link_side().node("living")
+    dead, living = ends.side("link").node("dead"), ends.side("link").node("living")
     listen(dead, "/map", RELIABLE, UInt8MultiArray)
     listen(living, "/other", RELIABLE, UInt8MultiArray)
     heard = listen(living, "/arpd/relay/robot/small", RELIABLE, UInt8MultiArray)
@@ -280,8 +280,8 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     """An end that speaks another version is named with both versions, and nothing crosses."""
     monkeypatch.setattr("arpd.relay.ends.offers.VERSION", 9)
     ends = world().start("robot")
-    Stranger(ends.link_side().node("stranger"), arpd="9.9")
-    words = "it speaks version 9 (arpd 9.9), this end version 6"
+    Stranger(ends.side("link").node("stranger"), arpd="9.9")
+    words = f"it speaks version 9 (arpd 9.9), this end version {VERSION}"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 
@@ -298,22 +298,15 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
         )
         for name, lifespan_ns in lifespans_ns.items()
     }
-    stranger = Stranger(ends.link_side().node("stranger"), topics=topics)
+    stranger = Stranger(ends.side("link").node("stranger"), topics=topics)
     writers = {name: stranger.node.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
-    heard = {name: listen(robot, name) for name in topics}
-    chunks = count(1)
+    heard, samples = {name: listen(robot, name) for name in topics}, count(1)
 
     def send(text, late_s):
         for name, writer in writers.items():
-            number = next(chunks)
             key = writer_key(topics[name].writers[0].gid)
-            part = pack([Record(key, number, bytes(serialize_message(String(data=text))))])
-            departed_us = int((time.monotonic() - late_s) * 1e6) % WRAP
-            writer.publish(
-                encode_chunk(
-                    Chunk(stranger.session, number, departed_us, number, 0, len(part), is_kept=False, part=part)
-                )
-            )
+            record = Record(key, next(samples), bytes(serialize_message(String(data=text))))
+            stranger.send(writer, pack([record]), late_s=late_s)
 
     def is_heard():
         stranger.live()
@@ -331,7 +324,7 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
 def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
     """Of two topics of one type that of another definition does not enter, nor does a service of an unknown type."""
     ends = world("services: [/unknown]").start("robot")
-    robot, link = ends.side("robot").node("sensor"), ends.link_side()
+    robot, link = ends.side("robot").node("sensor"), ends.side("link")
     Counter(robot, String, "/chatter", RELIABLE)
     told = listen(link.node("watcher"), "/arpd/relay/robot", latched(1), UInt8MultiArray)
     offered = eventually("the end tells what it offers", lambda: told and decode_state(bytes(told[-1])).topics)
@@ -368,13 +361,13 @@ def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventua
 
 
 def test_only_what_the_configuration_lets_out_crosses(world, eventually):
-    """Patterns and deny decide what crosses to which side, and the namespace stands before the robot's names there."""
+    """Patterns and deny decide what crosses, and the namespace stands before the robot's names on the base computer."""
     ends = world("namespace: /r1", 'to_base: ["/camera/**"]', 'to_robot: ["/goal"]', 'deny: ["/camera/raw"]').start()
     robot, base = ends.side("robot"), ends.side("base")
     node = robot.node("camera")
     for topic in ("/camera/image", "/camera/raw", "/secret"):
         node.create_publisher(String, topic, 10)
-    far = base.node("planner")
+    far = base.node("planner", namespace="/r1")
     goals = listen(robot.node("base"), "/goal")
     goal = Counter(far, String, "/r1/goal", 10)
     far.create_publisher(String, "/goal", 10)
@@ -383,12 +376,13 @@ def test_only_what_the_configuration_lets_out_crosses(world, eventually):
     goal.publish()
     eventually("the goal arrives", lambda: goals == ["planner 0"])
     eventually("the camera shows", lambda: ("camera", "/r1") in far.get_node_names_and_namespaces())
+    eventually("the planner shows", lambda: ("planner", "/") in node.get_node_names_and_namespaces())
     topics = dict(far.get_topic_names_and_types())
     assert not {"/r1/camera/raw", "/r1/secret", "/camera/image"} & topics.keys()
 
 
 def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):
-    """Thinned to two sets a second, a group delivers only whole sets: the same stamps on all its topics."""
+    """Thinned to two sets a second, a group delivers whole sets alone; a topic with the group's name is refused."""
     topics = ("/left/image", "/left/camera_info", "/right/image")
     ends = world(f"groups: [{{name: /stereo, topics: [{', '.join(topics)}]}}]").start()
     camera, far = ends.side("robot").node("camera"), ends.side("base").node("planner")
@@ -398,6 +392,8 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     for kind, topic in zip(kinds, topics, strict=True):
         seen = stamps[topic]
         far.create_subscription(kind, topic, lambda message, seen=seen: seen.append(message.header.stamp.nanosec), 1000)
+    camera.create_publisher(Image, "/stereo", 10)
+    far.create_subscription(Image, "/stereo", lambda _message: None, 10)
 
     def shoot(stopping):
         for number in range(100_000):
@@ -411,7 +407,7 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
 
     background(shoot)
     eventually("sets arrive", lambda: len(stamps[topics[0]]) > 50)
-    relay = ends.link_side().node("planner")
+    relay = ends.side("link").node("planner")
     row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
     Plans(relay)(1, {"/stereo": row})
     first = stamps[topics[0]]
@@ -420,6 +416,7 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     common = min(map(len, stamps.values()))
     assert stamps[topics[0]][:common] == stamps[topics[1]][:common] == stamps[topics[2]][:common]
     assert all(number % 7 for number in stamps[topics[0]])
+    eventually("the other topic is named", lambda: "refused /stereo: a group of topics has" in ends.status["robot"])
 
 
 def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world, talking, eventually):
@@ -429,7 +426,7 @@ def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world,
     eventually("the end waits", lambda: "waiting for the base computer's end; 1 topics" in ends.status["robot"])
     assert writer.get_subscription_count() == 0
     ends.start("base")
-    node = ends.link_side().node("arpd")
+    node = ends.side("link").node("arpd")
     daemon = RosControl(node, interface="lo", on_report=lambda: None, has_two_ends=True)
     talking(Counter(ends.side("robot").node("sensor"), String, "/chatter", 10))
     listen(ends.side("base").node("planner"), "/chatter")

@@ -8,7 +8,6 @@ import secrets
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -52,7 +51,7 @@ _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 #: In the place of a state while there is no other end.
-NOBODY = EndState(session=0, serial=0)
+NOBODY = EndState(session=0)
 
 
 class End:
@@ -75,7 +74,7 @@ class End:
         is_far: bool,
         on_change: Callable[[str], None],
     ) -> None:
-        self._settings, self._is_far, self._on_change = settings, is_far, on_change
+        self._is_far, self._on_change = is_far, on_change
         self._node, self._link_node = node, link_node
         self._side = Side.of(settings, is_far=is_far)
         self._view, self._link_view = GraphView.of(node), GraphView.of(link_node)
@@ -88,14 +87,15 @@ class End:
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
-        self._told = EndState(
+        self._new_state = partial(
+            EndState,
             session=session,
-            serial=0,
             host=platform.node(),
             arpd=__version__,
             link_gids=self._link_view.own.participant.hex(),
             local_gids=self._view.own.participant.hex(),
         )
+        self._told = NOBODY  # this end's state, as the other one was told
         self._begun_s = self._look_s = time.monotonic()
         self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         role, other = ("base", "robot") if is_far else ("robot", "base")
@@ -114,7 +114,15 @@ class End:
         self._nodes = GhostNodes(node)
         self.incoming = Incoming(nodes=self._nodes, reader=chunks, side=self._side, depths=settings.depths)
         self._incomplete = 0  # samples of groups whose set was never complete
-        self.outgoing = Outgoing(node, name_of=self._name_of, carry=self._carry, settings=settings, linger_s=_LINGER_S)
+        carry = partial(LinkTopic, link_node, thread=self.link, settings=settings, on_drop=self._on_drop)
+        self.outgoing = Outgoing(
+            node,
+            name_of=self._name_of,
+            carry=carry,
+            settings=settings,
+            linger_s=_LINGER_S,
+            node_name=self._side.node_name,
+        )
         # A topic of weight 1 in the paced queue, of which none is dropped.
         self._call_lane = Lane(calls.publish, is_kept=True)
         self.link.add(self._call_lane)
@@ -158,16 +166,6 @@ class End:
         name = self._side.robot_name(local)
         return name if name is not None and self._side.may_leave(name) else None
 
-    def _carry(self, link_name: str, _type_name: str, *, is_latched: bool) -> LinkTopic:
-        return LinkTopic(
-            self._link_node,
-            link_name,
-            is_latched=is_latched,
-            thread=self.link,
-            settings=self._settings,
-            on_drop=self._on_drop,
-        )
-
     def _on_drop(self, samples: int) -> None:
         self._incomplete += samples
 
@@ -177,12 +175,18 @@ class End:
         """Follow the graph and the other end; call it ten times a second."""
         now_s = time.monotonic()
         self._hear(now_s)
-        if now_s >= self._look_s:
+        there, is_due = self._partner.look(now_s) or NOBODY, now_s >= self._look_s
+        if is_due:
             self._look_s = now_s + _LOOK_S
             self.outgoing.look()
             self._others = self._nodes_of_others()
-            self._follow(now_s)
-        self.incoming.step(is_reachable=self._partner.is_reachable(now_s))
+        if is_due or there is not self._there:
+            self._follow(there)
+        is_reachable = self._partner.is_reachable(now_s)
+        # Calls fail while the other end is unreachable; topics bridge an outage.
+        is_called = is_reachable and not self._is_shared
+        self._calls.offered = (self._there.services, self._there.session) if is_called else ({}, None)
+        self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
@@ -190,7 +194,6 @@ class End:
 
     def _hear(self, now_s: float) -> None:
         """Take what the other end has sent."""
-        is_new = False
         while self._arrived:
             arrived = self._arrived.popleft()
             if isinstance(arrived, int):
@@ -198,55 +201,38 @@ class End:
                 continue
             before, self._fault = self._fault, ""
             try:
-                state = decode_state(octets(arrived))
-                self._partner.hear(state.session, now_s, state)
-                is_new = True
+                self._partner.tell(decode_state(octets(arrived)), now_s)
             except ValueError as fault:
                 self._fault = str(fault)
             if self._fault not in {"", before}:
                 log.error("the other end: %s", self._fault)
-        if is_new:
-            self._follow(now_s)
 
-    def _follow(self, now_s: float) -> None:
+    def _follow(self, state: EndState) -> None:
         """Do what the newest state of the other end asks."""
-        self._partner.look(now_s)
-        before, self._there = self._there, self._partner.state or NOBODY
-        state = self._there
+        before, self._there = self._there, state
         # In one domain, its ghosts would be in this graph, too.
         self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
-        if self._is_shared or not self._partner.is_reachable(now_s):
-            self._calls.offered = {}, None  # calls fail at once; topics bridge an outage
-        else:
-            self._calls.offered = state.services, state.session
         if state.session != before.session:
             self.link.follow(state.session, state.link_gids)
             self.outgoing.forget_latched()
             if state is not NOBODY:
                 log.info("the other end is %s (arpd %s), session %08x", state.host, state.arpd, state.session)
-        accepted, refused = {}, {}
-        announced = self._announced.recent()
-        for name, offer in state.topics.items():
-            if reason := self._reason_against(name, offer, announced):
-                refused[name] = reason
-            else:
-                accepted[name] = offer
-        self.incoming.follow(accepted, refused=refused)
+        self.incoming.follow(state.topics, partial(self._reason_against, announced=self._announced.recent()))
         self.outgoing.follow(frozenset() if self._is_shared else state.wants)
         types = {
             name: f"it has more than one type here: {', '.join(each)}"
             for name, each in self.outgoing.several_types().items()
         }
-        for name, offer in accepted.items():
+        for name, offer in state.topics.items():
             if others := sorted(set(self._view.types.get(self._side.local_name(name), ())) - {offer.type_name}):
                 types[name] = f"nodes here do not hear it: it is {offer.type_name} there and {', '.join(others)} here"
-        refused = {**types, **refused, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused}
+        refused = {**types, **self.incoming.refused, **self.outgoing.refused, **self._calls.refused}
         for name, reason in refused.items():
             if self._refused.get(name) != reason:
                 log.error("%s does not cross as it should: %s; the other topics are not affected", name, reason)
         self._refused = refused
 
-    def _reason_against(self, name: str, offer: TopicOffer, announced: Collection[str]) -> str:
+    def _reason_against(self, name: str, offer: TopicOffer, *, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
         if self._is_shared:
             return "both ends are in one ROS domain"
@@ -263,15 +249,14 @@ class End:
 
     def _tell(self) -> None:
         """Send this end's state if it has changed."""
-        state = replace(
-            self._told,
+        state = self._new_state(
             topics=self.outgoing.offers,
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
         )
-        if state != self._told or not state.serial:
-            self._told = state = replace(state, serial=state.serial + 1)
+        if state != self._told:
+            self._told = state
             self.link.tell(encode_state(state))
 
     def _send_call(self, record: bytes, source: int) -> None:
@@ -303,7 +288,7 @@ class End:
                 told.hurry()
 
     def _summary(self, now_s: float) -> RelaySummary:
-        here, there = replace(self._told, refused=self._refused), self._there
+        here, there = self._told, self._there
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,

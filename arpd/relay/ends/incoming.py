@@ -20,7 +20,7 @@ from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth,
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Mapping
 
     from arpd.relay.ends.link import LinkReader
     from arpd.relay.ends.offers import TopicOffer, WriterOffer
@@ -80,30 +80,31 @@ class Incoming:
         self.wants: frozenset[str] = frozenset()
         self.samples = Counter(received=0, doubled=0, unknown=0, outdated=0)
 
-    def follow(self, offers: Mapping[str, TopicOffer], *, refused: Collection[str] = frozenset()) -> None:
+    def follow(self, offers: Mapping[str, TopicOffer], reason_against: Callable[[str, TopicOffer], str]) -> None:
         """Make the ghosts of what is offered now, and remove those of what no longer is.
 
         Parameters
         ----------
-        offers : topics of the other side that enter here
-        refused : topics that do not enter; their ghosts go at once, because a reader would hear samples twice
+        offers : topics of the other side
+        reason_against : returns why a topic does not enter, empty if it does; its ghosts go at once, because a reader
+            would hear samples twice
         """
         now_s = time.monotonic()
         kinds: dict[str, Any] = {}
-        self.refused = {}
-        for name, offer in offers.items():
+        self.refused = {name: reason for name, offer in offers.items() if (reason := reason_against(name, offer))}
+        for name in offers.keys() - self.refused.keys():
             try:
-                kinds[name] = _class_of(offer)
+                kinds[name] = _class_of(offers[name])
             except UnknownTypeError as fault:
                 self.refused[name] = str(fault)
-        present = {writer_key(writer.gid) for offer in offers.values() for writer in offer.writers}
+        present = {writer_key(writer.gid) for name in kinds for writer in offers[name].writers}
         with self._lock:
             for key, ghost in [*self._ghosts.items()]:
-                name, offer = ghost.topic, offers.get(ghost.topic, ghost.offer)
-                if key not in present:
-                    ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)
-                if name in refused or name in self.refused or offer.type_name != ghost.offer.type_name:
+                offer = offers.get(ghost.topic, ghost.offer)
+                if ghost.topic in self.refused or offer.type_name != ghost.offer.type_name:
                     self._remove(key)
+                elif key not in present:
+                    ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)
             for name, kind in kinds.items():
                 try:
                     for writer in offers[name].writers:
@@ -172,8 +173,7 @@ class Incoming:
             self.samples["unknown"] += 1
 
     def _write(self, record: Record) -> None:
-        ghost = self._ghosts.get(record.writer)
-        self.samples["received" if ghost is not None and ghost.writer.write(record) else "doubled"] += 1
+        self.samples["received" if self._ghosts[record.writer].writer.write(record) else "doubled"] += 1
 
     def _follow(self, name: str, offer: TopicOffer, writer: WriterOffer, kind: Any) -> None:
         key = writer_key(writer.gid)
@@ -206,6 +206,7 @@ class Incoming:
             self._remove(key)
 
     def _remove(self, key: bytes) -> None:
+        self._late.pop(key, None)
         self._ghosts.pop(key).writer.destroy()
 
 

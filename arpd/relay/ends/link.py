@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,15 +11,13 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.writing_thread import WritingThread
-from arpd.model.errors import RosUnavailableError
 from arpd.relay.envelope import Assembly, wrap
 from arpd.relay.link_queue import LinkQueue
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
-from arpd.ros.runtime import PROFILE_VARIABLES, TWO_ENDED_PROFILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping
+    from collections.abc import Callable, Hashable
 
     from rclpy.node import Node
 
@@ -145,29 +142,3 @@ class LinkReader(RawReader):
         except ValueError as fault:
             if self._logged.take("", time.monotonic()):
                 log.warning("ignored a message of %s: %s (logged once a minute)", self.name, fault)
-
-
-def check_deaf_to_itself(node: Node) -> None:
-    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
-
-    Raises
-    ------
-    RosUnavailableError
-        If endpoints of one participant match each other.
-    """
-    publisher = node.create_publisher(UInt8MultiArray, "~/check", 1)
-    subscription = node.create_subscription(UInt8MultiArray, "~/check", lambda _sample: None, 1)
-    time.sleep(0.1)
-    hears_itself = publisher.get_subscription_count() > 0
-    node.destroy_subscription(subscription)
-    node.destroy_publisher(publisher)
-    if hears_itself:
-        raise RosUnavailableError(
-            "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
-            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {profile_variables()}"
-        )
-
-
-def profile_variables(environ: Mapping[str, str] = os.environ) -> str:
-    """Return the variables that choose the profile of this process."""
-    return " and ".join(name for name in PROFILE_VARIABLES if name in environ)

@@ -6,16 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, TypeAlias, TypeVar
 
-from pydantic import FailFast, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, FailFast, Field, TypeAdapter, ValidationError
 
 from arpd.relay.envelope import WRAP
 from arpd.ros.documents import MOST_INTEGER, pack, unpack
+from arpd.ros.names import is_full_name
 
-VERSION = 6
+VERSION = 7
 _STRANGE = "its message is not understood"
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 T = TypeVar("T")
 WriterClass: TypeAlias = tuple[bool, bool, int]  # of writers that one reader hears
+
+
+def _full_name(name: str) -> str:
+    if not is_full_name(name):
+        raise ValueError("no full name of ROS")
+    return name
+
+
 _Period = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 # Each fault in a message is written down, so it may not have too many.
 _ByName = Annotated[Mapping[str, T], Field(max_length=20_000)]
@@ -65,7 +74,7 @@ class TopicOffer:
 
     type_name: str
     writers: Annotated[tuple[WriterOffer, ...], FailFast()]
-    link_name: str
+    link_name: Annotated[str, AfterValidator(_full_name)]
     type_hash: str = ""
     planned_depth: Annotated[int, Field(ge=0, le=5000)] = 0
     planned_deadline_ns: _Period = 0
@@ -86,7 +95,6 @@ class EndState:
     Parameters
     ----------
     session : of its process, new with each
-    serial : counts the states of the session
     host : its host name
     arpd : its version of arpd
     topics, services : what it offers
@@ -97,7 +105,6 @@ class EndState:
     """
 
     session: Annotated[int, Field(gt=0, lt=WRAP)]
-    serial: _Period
     host: str = ""
     arpd: str = ""
     topics: _ByName[TopicOffer] = field(default_factory=dict)

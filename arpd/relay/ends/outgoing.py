@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from arpd.relay.ends.offers import WriterOffer
     from arpd.ros.raw_reader import Sample
 
+_NAMED_AS_GROUP = "a group of topics has this name; give the group another one under relay.groups"
 _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 
 
@@ -81,10 +83,10 @@ class Outgoing:
     ----------
     node : looks at the graph and reads
     name_of : returns the name by which a topic is offered and wanted, None = it is not; from its local name
-    carry : makes what carries the topics of this name on the link, which are of this type at first; whether one is
-        latched
+    carry : makes what carries the topics of this name on the link; whether one is latched
     settings : groups, overflow and depths
     linger_s : how long a topic stays that nobody wants, or offers, any more (s)
+    node_name : returns the name by which a node is offered, from its local name
 
     Attributes
     ----------
@@ -102,8 +104,10 @@ class Outgoing:
         carry: Callable[..., Carried],
         settings: RelaySettings,
         linger_s: float,
+        node_name: Callable[[str], str] = str,
     ) -> None:
-        self._node, self._name_of, self._carry, self._settings = node, name_of, carry, settings
+        self._node, self._name_of, self._node_name = node, name_of, node_name
+        self._carry, self._settings = carry, settings
         self._linger_s = linger_s
         self._groups = {topic: group.name for group in settings.groups for topic in group.topics}
         self._view = GraphView.of(node)
@@ -134,9 +138,15 @@ class Outgoing:
     def _offer(self, name: str, found: Surveyed) -> TopicOffer:
         link_name = self._groups.get(name, name)
         depth, deadline_ns = self._planned.get(link_name, (0, 0))
-        writers = found.writers
-        if (carried := self.carried.get(link_name)) is not None and (readers := carried.readers.get(name)) is not None:
-            writers = tuple(replace(each, is_alive=each.is_manual and readers.are_alive(each)) for each in writers)
+        readers = self.carried[link_name].readers.get(name) if link_name in self.carried else None
+        writers = tuple(
+            replace(
+                each,
+                node=self._node_name(each.node),
+                is_alive=each.is_manual and readers is not None and readers.are_alive(each),
+            )
+            for each in found.writers
+        )
         return TopicOffer(
             type_name=found.type_name,
             type_hash=found.type_hash,
@@ -152,14 +162,14 @@ class Outgoing:
 
     def follow(self, wants: Collection[str]) -> None:
         """Carry the wanted topics that are offered, and no other."""
-        wanted: dict[str, set[str]] = {}
-        for topic in self.offers.keys() & wants:
-            wanted.setdefault(self.offers[topic].link_name, set()).add(topic)
+        offered, wanted = self.offers.keys() & wants, defaultdict[str, set[str]](set)
+        self.refused = dict.fromkeys((offered & {*self._groups.values()}) - self._groups.keys(), _NAMED_AS_GROUP)
+        for topic in offered - self.refused.keys():
+            wanted[self.offers[topic].link_name].add(topic)
         now_s = time.monotonic()
         for link_name, known in list(self.carried.items()):
             if link_name not in wanted and now_s - known.wanted_s > self._linger_s:
                 self._drop(link_name)
-        self.refused = {}
         for link_name, topics in wanted.items():
             is_latched = any(writer.is_latched for topic in topics for writer in self.offers[topic].writers)
             types = {topic: self.offers[topic].type_name for topic in topics}
@@ -174,9 +184,7 @@ class Outgoing:
                 continue
             try:
                 if carried is None:
-                    carried = self.carried[link_name] = self._carry(
-                        link_name, types[min(topics)], is_latched=is_latched
-                    )
+                    carried = self.carried[link_name] = self._carry(link_name, is_latched=is_latched)
             except (UnknownTypeError, RuntimeError, ValueError) as fault:
                 self.refused |= dict.fromkeys(topics, str(fault))
             else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from contextlib import ExitStack
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
@@ -22,9 +21,10 @@ from arpd.ros.runtime import ros_node
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from arpd.endpoint.writing_thread import WritingThread
     from arpd.model.settings import RelaySettings
     from arpd.relay.ends.offers import WriterOffer
-    from arpd.ros.raw_reader import Sample
+    from arpd.ros.raw_reader import ReadingThread, Sample
 
 log = logging.getLogger(__name__)
 _LINGER_S = 10.0  # without a writer: a source may restart, and a loop whose source never comes must end
@@ -47,16 +47,16 @@ class Participants:
 
     Attributes
     ----------
-    parts : its threads
+    threads : of all nodes, as they are made
     """
 
     def __init__(self, first: Any) -> None:
         self._name = str(first.get_name())
-        self.parts: list[Callable[[], float]] = []
+        self.threads: list[ReadingThread | WritingThread] = []
         self._stack = ExitStack()
         self._nodes = {(False, 0): first}
         self._places: dict[str, tuple[bool, int]] = {}
-        self._watch(first)
+        self.threads.append(NodePublishers.of(first).thread)
 
     def of(self, topic: str, *, is_large: bool) -> Any:
         """Return the node of a topic, the same at every call.
@@ -72,15 +72,12 @@ class Participants:
             # Nobody spins it: arpd's threads serve its publishers.
             name = f"{self._name}_{len(self._nodes) + 1}"
             self._nodes[place] = self._stack.enter_context(ros_node(name, context=Context()))
-            self._watch(self._nodes[place])
+            self.threads.append(NodePublishers.of(self._nodes[place]).thread)
         return self._nodes[place]
 
     def close(self) -> None:
         """Destroy all nodes but the first."""
         self._stack.close()
-
-    def _watch(self, node: Any) -> None:
-        self.parts.append(partial(getattr, NodePublishers.of(node).thread, "finished_s"))
 
 
 class _Republished(Carried):
@@ -110,22 +107,23 @@ class Prefixed(Outgoing):
 
     Attributes
     ----------
-    participants : nodes that publish
+    threads : none may hang; there may be more later
     """
 
     def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
-        self.participants, self._on_change = Participants(node), on_change
+        self._participants, self._on_change = Participants(node), on_change
         self._inputs = {str(node.resolve_topic_name(topic)): topic for topic in settings.topic_names}
         self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topic_names}
         super().__init__(node, name_of=self._inputs.get, carry=self._republish, settings=settings, linger_s=_LINGER_S)
-        self.participants.parts.append(lambda: self.thread.finished_s)
+        self.threads = self._participants.threads
+        self.threads.append(self.thread)
         self._named: dict[str, str] = {}  # refusals that the log has
         self._status = ""
 
     def close(self) -> None:
         """Carry nothing any more."""
         super().close()
-        self.participants.close()
+        self._participants.close()
 
     def look(self) -> None:
         """Follow the graph, and tell the status if it has changed."""
@@ -161,13 +159,13 @@ class Prefixed(Outgoing):
             return f"{', '.join(loop)} reads {output} and publishes it, so messages would loop"
         return ""
 
-    def _republish(self, topic: str, type_name: str, *, is_latched: bool) -> _Republished:
-        kind = message_class(type_name)
+    def _republish(self, topic: str, *, is_latched: bool) -> _Republished:
+        kind = message_class(type_name := self.offers[topic].type_name)
         log.info("relaying %s to %s (%s)", topic, self._outputs[topic], type_name)
         # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise.
         durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
         publisher = AdaptivePublisher(
-            self.participants.of(topic, is_large=is_bulk(kind)),
+            self._participants.of(topic, is_large=is_bulk(kind)),
             kind,
             self._settings.prefix + topic,
             QoSProfile(depth=self._settings.depths.get(topic) or DEFAULT_RELAY_DEPTH, durability=durability),

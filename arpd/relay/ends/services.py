@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.relay.calls import FailureReason
+from arpd.relay.calls import CallFailure, FailureReason
 from arpd.relay.ends.types import service_class
+from arpd.ros.raw_reader import Inlet
 from arpd.ros.rcl import rcl
 
 if TYPE_CHECKING:
@@ -16,25 +20,68 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.calls import CallFailure, CallId
+    from arpd.relay.calls import CallBook, CallId
     from arpd.relay.ends.offers import ServiceOffer
     from arpd.ros.raw_reader import ReadingThread
 
+log = logging.getLogger(__name__)
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
 _QOS = QoSProfile(depth=100)
+_AT_ONCE, _BURST_S = 5, 0.02  # messages leave in bursts: a client and a server of ROS have histories of ten
 _SETTLED_S = 0.3  # for a server to match a client: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
 _STATUS_ABORTED = 6  # action_msgs/msg/GoalStatus
 
 
-class GhostServer:
+class _Endpoint(Inlet):
+    """A server or a client, and what waits to leave it.
+
+    Parameters
+    ----------
+    of : the server or the client of rclpy; no executor serves it
+    name : fully qualified name
+    notify : as `Inlet` has it
+    thread : serves it
+    """
+
+    def __init__(self, of: Any, name: str, notify: Any, thread: ReadingThread) -> None:
+        self.name, self.handle, self.notify = name, of.handle, notify
+        self._waiting: deque[tuple[Any, Any]] = deque()  # messages, and what each belongs to
+        self._room, self._burst_s = 0, -math.inf  # messages that may still leave, and when the next burst may
+        self._thread, self._event = thread, thread.watch(self)
+
+    def send(self, owner: Any, message: Any) -> None:
+        """Let a message leave with a later `release`; its owner is a call, or the header of a request."""
+        self._waiting.append((owner, message))
+
+    def release(self, now_s: float) -> float:
+        """Let leave what may; return when more may (s)."""
+        if now_s >= self._burst_s:
+            self._room, self._burst_s = _AT_ONCE, now_s + _BURST_S
+        while self._waiting and self._room and self._is_ready(now_s):
+            self._room -= self._leave(*self._waiting.popleft())
+        return self._burst_s if self._waiting else math.inf
+
+    def destroy(self) -> None:
+        """Remove it; nothing is read any more."""
+        self._thread.unwatch(self, self._event)
+
+    def _is_ready(self, _now_s: float) -> bool:
+        """Return whether messages may leave."""
+        return True
+
+    def _leave(self, owner: Any, message: Any) -> int:
+        """Send a message, if somebody wants it; return how many have left."""
+        raise NotImplementedError
+
+
+class GhostServer(_Endpoint):
     """A server of a service of the other side; it answers each request later.
 
     Parameters
     ----------
-    node : node that the server belongs to; no executor serves it
+    node : node that the server belongs to
     offer : the service
-    name : fully qualified name
-    thread : serves it
+    name, thread : as in `_Endpoint`
     on_request : called with each request and its header, in the thread
     """
 
@@ -42,10 +89,9 @@ class GhostServer:
         self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, on_request: Callable[[Any, Any], None]
     ) -> None:
         self.offer, self.kind = offer, service_class(offer.type_name)
-        self._node, self._thread, self._on_request = node, thread, on_request
+        self._node, self._on_request = node, on_request
         self._server = node.create_service(self.kind, name, lambda _request, answer: answer, qos_profile=_QOS)
-        self.name, self.handle, self.notify = name, self._server.handle, rcl().notify_server
-        self._event = thread.watch(self)
+        super().__init__(self._server, name, rcl().notify_server, thread)
 
     def read(self) -> bool:
         """Take a request; return whether there was none."""
@@ -55,77 +101,73 @@ class GhostServer:
             self._on_request(request, header)
         return header is None
 
-    def is_ready(self, _now_s: float) -> bool:
-        """Return whether a response may leave."""
-        return True
-
-    def send(self, header: Any, response: Any) -> None:
-        """Send the response of one request."""
-        self._server.send_response(response, header)
+    def _leave(self, header: Any, response: Any) -> int:
+        try:
+            self._server.send_response(response, header)
+        except RuntimeError as error:
+            log.warning("a response of %s cannot be sent: %s", self.name, error)
+        return 1
 
     def destroy(self) -> None:
-        """Remove the server, so that clients see at once that the service is not there."""
-        self._thread.unwatch(self, self._event)
+        """Send what waits, and remove the server, so that clients see at once that the service is not there."""
+        while self._waiting:
+            self._leave(*self._waiting.popleft())
+        super().destroy()
         self._node.destroy_service(self._server)
 
 
-class LocalClient:
+class LocalClient(_Endpoint):
     """A client of a server of this side, kept for all calls of its service.
 
     Parameters
     ----------
     node : node that the client belongs to
-    kind, name : service class, and fully qualified name
-    thread : serves it
-    on_response : called with each call and its response, in the thread
+    offer : the service
+    name, thread : as in `_Endpoint`
+    book : of the calls, which it finishes in the thread
     """
 
-    def __init__(
-        self,
-        node: Node,
-        kind: Any,
-        name: str,
-        thread: ReadingThread,
-        on_response: Callable[[CallId, Any], None],
-    ) -> None:
-        self.kind = kind
-        self._node, self._thread, self._on_response = node, thread, on_response
+    def __init__(self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, book: CallBook) -> None:
+        self.offer, self._kind = offer, service_class(offer.type_name)
+        self._node, self._book = node, book
         self._matched_s = math.inf  # when it began to see its server
         self._running: dict[int, CallId] = {}  # by the number that each request has here
-        self._client = node.create_client(kind, name, qos_profile=_QOS)
-        self.name, self.handle, self.notify = name, self._client.handle, rcl().notify_client
-        self._event = thread.watch(self)
+        self._client = node.create_client(self._kind, name, qos_profile=_QOS)
+        super().__init__(self._client, name, rcl().notify_client, thread)
 
     def read(self) -> bool:
         """Take a response; return whether there was none."""
         with self.handle:
-            header, response = self.handle.take_response(self.kind.Response)
+            header, response = self.handle.take_response(self._kind.Response)
         if header is not None and (call := self._running.pop(header.request_id.sequence_number, None)) is not None:
-            self._on_response(call, response)
+            self._book.finish(call, bytes(serialize_message(response)))
         return header is None
 
-    def is_ready(self, now_s: float) -> bool:
+    def _is_ready(self, now_s: float) -> bool:
         """Return whether a request may leave: the server must know this client, also after its restart."""
         self._matched_s = min(self._matched_s, now_s) if self._client.service_is_ready() else math.inf
         return now_s - self._matched_s >= _SETTLED_S
 
-    def send(self, call: CallId, request: Any) -> None:
-        """Send the request of a call."""
-        with self.handle:
-            self._running[self.handle.send_request(request)] = call
+    def _leave(self, call: CallId, request: bytes) -> int:
+        if not self._book.runs(call):
+            return 0
+        try:
+            with self.handle:
+                number = self.handle.send_request(deserialize_message(request, self._kind.Request))
+                self._running[number] = call
+        except (RuntimeError, ValueError) as error:
+            self._book.finish(call, CallFailure(FailureReason.TYPE, f"its request cannot be sent: {error}"))
+        return 1
 
-    @property
-    def running(self) -> tuple[CallId, ...]:
-        """The calls whose request has left."""
-        return (*self._running.values(),)
-
-    def keep(self, is_awaited: Callable[[CallId], bool]) -> None:
+    def forget_given_up(self) -> None:
         """Forget the calls whose outcome nobody awaits."""
-        self._running = {number: call for number, call in self._running.items() if is_awaited(call)}
+        self._running = {number: call for number, call in self._running.items() if self._book.runs(call)}
 
     def destroy(self) -> None:
-        """Remove the client."""
-        self._thread.unwatch(self, self._event)
+        """Remove the client; its calls fail."""
+        for call in (*self._running.values(), *(call for call, _ in self._waiting)):
+            self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
+        super().destroy()
         self._node.destroy_client(self._client)
 
 

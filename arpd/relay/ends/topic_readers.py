@@ -88,10 +88,8 @@ class TopicReaders:
     def _reader(self, kind: WriterClass) -> RawReader:
         def deliver(sample: Sample) -> None:
             with self._lock:
-                # Behind those that are held, perhaps of the same writer.
-                if self._held or not self._deliver(kind, sample):
-                    self._held.append((kind, sample, time.monotonic()))
-                    self._deliver_held()
+                self._held.append((kind, sample, time.monotonic()))  # behind others, perhaps of the same writer
+                self._deliver_held()
 
         is_reliable, is_latched, lease_ns = kind
         qos = QoSProfile(

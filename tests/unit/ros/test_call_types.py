@@ -1,6 +1,8 @@
 """Calls across the link by type: what says a failure, what cannot be called, and when a request may leave."""
 
+import math
 import sys
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
@@ -10,10 +12,12 @@ pytest.importorskip("test_msgs", reason="test_msgs is not installed")
 
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
-from test_msgs.srv import BasicTypes, Empty
+from rclpy.serialization import serialize_message
+from test_msgs.srv import BasicTypes
 
 from arpd.relay.calls import CallFailure, FailureReason
-from arpd.relay.ends.services import LocalClient, failed_response
+from arpd.relay.ends.offers import ServiceOffer
+from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError, message_class, service_class
 
 
@@ -43,33 +47,106 @@ def test_a_type_that_cannot_say_it_gets_no_response():
     assert failed_response(BasicTypes, "test_msgs/srv/BasicTypes", CallFailure(FailureReason.TIMEOUT, "why")) is None
 
 
-class LateServer(MagicMock):
-    """Stands for a node and its client: the server is there when a test says so."""
+class World(MagicMock):
+    """Stands for a node and its client or server: a server that may come late, and a middleware that refuses some."""
 
     is_there = True
+    refused = ()
 
     def create_client(self, *_args, **_options):
         return self
 
+    create_service = create_client
+
     def service_is_ready(self):
         return self.is_there
 
+    def send_request(self, request):
+        self.send_response(request, None)
+        return len(self.sent)
 
-def test_no_request_leaves_before_its_server_can_know_the_client():
+    def send_response(self, response, _header):
+        self.sent.append(response.int32_value)
+        if self.sent[-1] in self.refused:
+            raise RuntimeError("no")
+
+
+@pytest.fixture
+def world():
+    world = World()
+    world.handle, world.sent = world, []
+    return world
+
+
+OFFER = ServiceOffer(type_name="test_msgs/srv/BasicTypes", node="/n")
+
+
+@pytest.fixture
+def client(world):
+    """Make a client whose calls up to 100 are awaited; their outcomes are in ``ended``."""
+    ended = {}
+    book = SimpleNamespace(runs=lambda call: call <= 100, finish=ended.__setitem__)
+    client = LocalClient(world, OFFER, "/double", MagicMock(), book)
+    client.ended = ended
+    return client
+
+
+def request(number):
+    return serialize_message(BasicTypes.Request(int32_value=number))
+
+
+def test_no_request_leaves_before_its_server_can_know_the_client(world, client):
     """A server drops a response for a client that it does not know yet, after a restart of the server, too."""
-    node, now_s = LateServer(), 100.0
-    client = LocalClient(node, Empty, "/empty", MagicMock(), lambda _call, _response: None)
+    client.send(1, request(1))
 
-    def pass_time(seconds):
-        nonlocal now_s
-        now_s += seconds
-        return client.is_ready(now_s)
+    def sent_at(now_s):
+        client.release(now_s)
+        return world.sent
 
-    assert [pass_time(seconds) for seconds in (0.0, 0.2, 0.2)] == [False, False, True]
-    node.is_there = False
-    assert not pass_time(0.1)
-    node.is_there = True
-    assert [pass_time(seconds) for seconds in (0.1, 0.1, 0.3)] == [False, False, True]
+    assert [sent_at(now_s) for now_s in (100.0, 100.2)] == [[], []]
+    world.is_there = False
+    assert not sent_at(100.4)
+    world.is_there = True
+    assert [[*sent_at(now_s)] for now_s in (100.5, 100.7, 100.9)] == [[], [], [1]]
+
+
+def test_requests_leave_five_at_a_time_and_one_that_cannot_be_sent_fails_alone(world, client):
+    """Of hundreds that wait each leaves once and in order, but for those that were given up meanwhile."""
+    world.refused = {3}
+    client.send(0, b"no request")
+    for number in (1, 200, 2, 3, 4, 5, 6):
+        client.send(number, request(number))
+    client.release(100.0)
+    due_s = client.release(101.0)
+    assert (world.sent, [*client.ended]) == ([1, 2, 3, 4], [0, 3])
+    assert {failure.reason for failure in client.ended.values()} == {FailureReason.TYPE}
+    assert client.release(due_s - 0.001) == due_s
+    assert client.release(due_s) == math.inf
+    assert world.sent == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_client_whose_server_is_gone_fails_all_its_calls(client):
+    """Those whose request has left, and those whose request waits."""
+    client.send(1, request(1))
+    for now_s in (100.0, 101.0):
+        client.release(now_s)
+    client.send(2, request(2))
+    client.destroy()
+    assert {call: failure.reason for call, failure in client.ended.items()} == dict.fromkeys(
+        (1, 2), FailureReason.NO_SERVER
+    )
+
+
+def test_a_response_that_cannot_be_sent_keeps_no_other_and_none_is_lost_with_its_server(world):
+    """Responses leave five at a time, and all that wait when their server goes."""
+    world.refused = {1}
+    server = GhostServer(world, OFFER, "/double", MagicMock(), lambda _request, _header: None)
+    for number in range(20):
+        server.send(None, BasicTypes.Response(int32_value=number))
+    server.release(100.0)
+    assert world.sent == [*range(5)]
+    server.destroy()
+    assert world.sent == [*range(20)]
 
 
 @pytest.mark.parametrize("kind", ["msg", "srv", "action"])

@@ -7,7 +7,6 @@ import pytest
 
 from arpd.model.endpoints import Direction
 from arpd.model.errors import RosUnavailableError
-from arpd.relay.ends.link import profile_variables
 from arpd.relay.main import check_middleware
 from arpd.ros.crossing import Crossing, crossing
 from arpd.ros.rmw import Rmw
@@ -29,12 +28,6 @@ def test_two_ends_refuse_a_middleware_that_hears_itself(name, is_able):
     """Two ends start on Fast DDS; on another middleware they name it and end."""
     with nullcontext() if is_able else pytest.raises(RosUnavailableError, match=name):
         check_middleware(Rmw(name=name))
-
-
-@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
-def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(name):
-    """Only the variable that is set is named."""
-    assert profile_variables({"PATH": "/bin", name: "/a.xml"}) == name
 
 
 def endpoint(process, deadline_ns=0):
