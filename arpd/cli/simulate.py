@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
 _LEAST_S, _MOST_S = 20.0, 86_400.0  # the first 10 s are start-up
 _DEFAULT_S = 60.0  # when the trace is shorter
-_DRAIN_S = 10.0  # the link goes on after the end of the run
 _MOST_DELAY_S, _MOST_OVERHEAD_S = 10.0, 0.1
 _MOST_QUEUE_BYTES, _MOST_AGGREGATE = 2.0**30, 1024
 _MBIT = 1e6 / 8  # bytes
@@ -129,7 +128,7 @@ def _simulate(options: argparse.Namespace) -> int:
     summaries = {way: summarize(result, start_s=WARM_UP_S, end_s=duration_s) for way, result in ways.items()}
     if options.json:
         asked = {"config": config and str(config), "trace": trace.name, "duration_s": duration_s, "seed": options.seed}
-        link = {name: value for name, value in asdict(model).items() if name not in {"losses", "outages"}}
+        link = {name: value for name, value in asdict(model).items() if name != "losses"}
         document = asked | {
             "warm_up_s": WARM_UP_S,
             "link": link,
@@ -191,7 +190,7 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
 
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
-    """Return the trace, long enough for the run, and the length of the run (s)."""
+    """Return the trace, and the length of the run (s)."""
     if options.trace is not None:
         trace = read_trace(options.trace)
     else:
@@ -200,8 +199,7 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
         except ValueError as error:
             raise UsageError(f"--rate: {error}") from None
         trace = LinkTrace(name=printable(options.rate), rates=rates, losses=(), duration_s=rates.duration_s)
-    duration_s = options.duration or min(_MOST_S, max(_DEFAULT_S, trace.duration_s))
-    return trace.lasting(duration_s + _DRAIN_S), duration_s
+    return trace, options.duration or min(_MOST_S, max(_DEFAULT_S, trace.duration_s))
 
 
 def _duration(least_s: float, most_s: float) -> Callable[[str], float]:

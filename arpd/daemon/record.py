@@ -94,9 +94,8 @@ class Record:
             probe_bytes=self.probe_bytes,
             reports=self._reports,
         )
-        picture = replace(picture, totals=self.totals)
         self.found = find(picture)
-        picture = replace(picture, found=self.found)
+        picture = replace(picture, totals=self.totals, found=self.found)
         try:
             for event in self._decision_log.follow(picture):
                 self._tell(event)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING
 
-from arpd.host.config.keys import changes, needs_restart
+from arpd.host.config.keys import changes
 from arpd.host.config.load import in_force
 from arpd.model.errors import ConfigError
 
@@ -30,7 +30,7 @@ class Configuration:
 
     Attributes
     ----------
-    error : first fault of the last reload, empty when it succeeded
+    error : first fault of the last reload, which the status shows; empty when it succeeded
     loaded_at_s : Unix time at which the settings in force were read (s)
     awaiting_restart : keys whose new value takes effect after a restart
     """
@@ -42,10 +42,6 @@ class Configuration:
         self.loaded_at_s = wall_clock()
         self.awaiting_restart: tuple[str, ...] = ()
         self._wall_clock = wall_clock
-
-    def note_failed_reload(self, why: str) -> None:
-        """Note a refused reload; the status shows ``why`` until one succeeds."""
-        self.error = why
 
     def reload(self, load: Callable[[], Settings], *, take: Callable[[Settings], None]) -> bool:
         """Take a new configuration whole, or keep the old one whole.
@@ -68,7 +64,7 @@ class Configuration:
                 log.error("%s", fault)  # noqa: TRY400 - the fault names its place; a traceback would bury it
             if (more := len(error.faults) - _MOST_FAULTS) > 0:
                 log.error("%d more faults; arpd check shows all", more)  # noqa: TRY400 - the same
-            self.note_failed_reload(error.faults[0])
+            self.error = error.faults[0]
             return False
         before, fresh = self.settings, in_force(self.settings, wanted)
         if fresh != before:
@@ -76,9 +72,10 @@ class Configuration:
         self.settings = fresh
         for key, change in changes(before, fresh).items():
             log.info("reloaded: %s: %s", key, change)
-        for key, change in changes(fresh, wanted).items():
+        waiting = changes(fresh, wanted)
+        for key, change in waiting.items():
             log.warning("%s: %s; takes effect after a restart", key, change)
-        self.awaiting_restart = tuple(key for key in changes(before, wanted) if needs_restart(key))
+        self.awaiting_restart = tuple(waiting)
         self.error = ""
         self.loaded_at_s = self._wall_clock()
         return True

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from arpd.govern.progress import progress
-from arpd.model.plan import QosPlan, TopicPlan
+from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +34,7 @@ def restore(
     Parameters
     ----------
     observe : observes the world at a time of the monotonic clock (s)
-    generation : of the plan that restores, above every plan of this daemon
+    generation : of the plan that restores, above every plan of this daemon, unless that is the highest that nodes take
     clock : monotonic clock (s)
     wait : sleeps for one tick
 
@@ -51,7 +51,7 @@ def restore(
                 return 0  # the plan in force is another daemon's
             # Every publisher with a plan, also a predecessor's plan, also on a topic whose far reader has left.
             publishers = [publisher for publisher in observation.publishers if publisher.generation > 0]
-            generation = max([generation, *(publisher.generation for publisher in publishers)])
+            generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))
             rows = {publisher.topic: _own_qos(publisher, is_paced=is_paced) for publisher in publishers}
             plan = QosPlan(generation=generation, topics=rows)
             come = progress(publishers, plan)

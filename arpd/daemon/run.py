@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from arpd.model.settings import LinkDomain, Settings
-    from arpd.sim.baselines import Oracle
+    from arpd.sim.oracle import Oracle
 
 log = logging.getLogger(__name__)
 

@@ -14,10 +14,10 @@ from arpd.daemon.tick import TICK_S, Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import HEARTBEAT_S
-from arpd.sim.baselines import Oracle
 from arpd.sim.demo import demo_topics
 from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
 from arpd.sim.link import LinkModel, Loopback, SimulatedLink
+from arpd.sim.oracle import Oracle
 from arpd.sim.robot import SimulatedPublisher, SimulatedThread, play_source
 from arpd.sim.schedule import Service
 from arpd.sim.socket import SOCKET_BYTES
@@ -114,7 +114,7 @@ class Scenario:
     schedule : rate of the link over run time, each way
     duration_s : length of the run (s)
     seed : of phases, jitter and losses; the same seed gives the same result
-    model : delay, queue, loss and outages of the link
+    model : delay, queue and loss of the link
     topics : topics of the robot
     foreign : cross traffic from the robot
     into_peer : other traffic that the peer's interface receives without crossing this link
@@ -257,8 +257,8 @@ class _Run:
     def _truth(self) -> LinkEstimate:
         """Return the true state of the link: the rates of the next 0.2 s, and the queue and the delivery of now."""
         model, run_s = self._scenario.model, max(0.0, self._timeline.now_s)
-        rate = self._mean_rate(run_s, _TRUTH_S)
-        is_out = rate <= 0 or model.is_out(run_s)
+        rate, loss_ratio = self._mean_rate(run_s, _TRUTH_S), model.loss_ratio(run_s)
+        is_out = rate <= 0.0 or loss_ratio >= 1.0
         foreign = sum(
             flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._scenario.foreign
         )
@@ -273,7 +273,7 @@ class _Run:
             delivery_rate_bytes_per_second=self._delivered_bytes_per_second(),
             # Aggregates are full on a busy link.
             packet_overhead_s=model.packet_overhead_s / model.aggregate_packets,
-            loss_ratio=None if is_out else model.loss_ratio(run_s),
+            loss_ratio=None if is_out else loss_ratio,
         )
 
     def _mean_rate(self, start_s: float, span_s: float) -> float:

@@ -150,7 +150,7 @@ class Supervisor:
                 self._daemon.reload(self._reading.result)
             except Exception as error:
                 log.exception("reload failed; the configuration in force stays")
-                self._daemon.configuration.note_failed_reload(f"{type(error).__name__}: {error}")
+                self._daemon.configuration.error = f"{type(error).__name__}: {error}"
             self._reading = None
             if self._is_ready:  # READY=1 must not come before the first finished tick
                 self._notifier.ready()

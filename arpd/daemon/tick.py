@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
     from arpd.report.conditions import Event
-    from arpd.sim.baselines import Oracle
+    from arpd.sim.oracle import Oracle
     from arpd.solve.link import Link
 
 TICK_S = 0.1

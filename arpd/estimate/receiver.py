@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from arpd.model.probing import Train
+from arpd.model.probing import PeerReport, Train
 from arpd.model.wire import probe_wire_bytes
 
 # A report answers a ping; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
@@ -16,6 +15,7 @@ WORTH_BYTES = 10_000  # received since the last report are worth one
 QUIET_S = 0.25  # between reports while no probe arrives; longer silence is an outage (`arpd.estimate.estimator`)
 LONGEST_QUIET_S = 2.0  # even if a ping asks for more
 
+_LONGEST_S = 59.0  # covered by one report
 _MOST_KEPT = 32  # delays and trains until the next report; a report holds no more
 _MOST_LOST = 0.1  # of a train's packets
 _LEAST_EDGE = 4  # packets, or half of a short train; a shorter edge is jitter
@@ -146,31 +146,49 @@ def _is_above(arrivals: list[Arrival], carried: list[int], early: int, middle: i
     return rise * (carried[late] - carried[early]) >= whole_rise * (carried[middle] - carried[early])
 
 
-@dataclass(slots=True)
 class Receiver:
-    """Collects probe arrivals between two reports.
+    """Collects probe arrivals between two reports, and makes the reports.
 
     Probes do not overtake each other on the link: a train is complete when its last packet arrives, or when a later
     probe shows that the last packet is lost.
+
+    Parameters
+    ----------
+    peer : name in the reports
+    begin_s : of the schedule (s)
+
+    Attributes
+    ----------
+    schedule : of the reports
     """
 
-    delays_s: list[float] = field(default_factory=list)
-    trains: list[Train] = field(default_factory=list)
-    last_probe: int = 0
-    packets_before: int = 0  # arrived packets of the probes before the last one
-    _received: int = 0  # packets of all probes
-    _number: int = -1  # train whose packets arrive now
-    _packets: int = 0
-    _arrivals: list[Arrival] = field(default_factory=list)
+    def __init__(self, peer: str, begin_s: float) -> None:
+        self._peer = peer
+        self.schedule = ReportSchedule(begin_s)
+        self._delays_s: list[float] = []
+        self._trains: list[Train] = []
+        self._last_probe = self._packets_before = 0  # arrived packets of the probes before the last one
+        self._received = 0  # packets of all probes
+        self._number, self._packets = -1, 0  # train whose packets arrive now
+        self._arrivals: list[Arrival] = []
 
     def on_probe(
-        self, *, train: int, index: int, packets: int, payload_bytes: int, sent_ns: int, received_ns: int
+        self,
+        *,
+        train: int,
+        index: int,
+        packets: int,
+        payload_bytes: int,
+        sent_ns: int,
+        received_ns: int,
+        quiet_s: float = 0.0,
     ) -> None:
         """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
+        self.schedule.note_probe(packets=packets, quiet_s=quiet_s)
         if index == 0:
-            del self.delays_s[:-_MOST_KEPT]
-            self.delays_s.append((received_ns - sent_ns) / 1e9)
-            self.last_probe, self.packets_before = train, self._received
+            del self._delays_s[:-_MOST_KEPT]
+            self._delays_s.append((received_ns - sent_ns) / 1e9)
+            self._last_probe, self._packets_before = train, self._received
         self._received += 1
         if packets == 1:
             if len(self._arrivals) >= (1.0 - _MOST_LOST) * self._packets:
@@ -185,14 +203,25 @@ class Receiver:
         if index == packets - 1:
             self._close()
 
-    def take(self) -> tuple[tuple[float, ...], tuple[Train, ...]]:
-        """Return delays and trains since the last call."""
-        delays, trains = tuple(self.delays_s), tuple(self.trains)
-        self.delays_s, self.trains = [], []
-        return delays, trains
+    def report(self, now_s: float, *, rx_bytes: int, rx_packets: int) -> PeerReport:
+        """Return the report that leaves now, with what the interface has received since the last one."""
+        report = PeerReport(
+            peer=self._peer,
+            received_at_s=now_s,
+            interval_s=min(now_s - self.schedule.sent_at_s, _LONGEST_S),
+            rx_bytes=rx_bytes,
+            rx_packets=rx_packets,
+            delays_s=tuple(self._delays_s),
+            trains=tuple(self._trains),
+            last_probe=self._last_probe,
+            probe_packets=self._packets_before,
+        )
+        self._delays_s, self._trains = [], []
+        self.schedule.note_sent(now_s)
+        return report
 
     def _close(self) -> None:
         if self._arrivals and (measured := measure_train(self._arrivals, packets=self._packets)) is not None:
-            del self.trains[:-_MOST_KEPT]
-            self.trains.append(measured)
+            del self._trains[:-_MOST_KEPT]
+            self._trains.append(measured)
         self._arrivals, self._packets = [], 0

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.estimate.receiver import Receiver, ReportSchedule
+from arpd.estimate.receiver import Receiver
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog
-from arpd.model.probing import PeerReport
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
 from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread, octets
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_LONGEST_S = 59.0  # covered by one report
 _QUIET_S = 5.0  # a daemon sends several probes in this time, in an outage too
 
 
@@ -51,11 +49,10 @@ class Peer:
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._publish, self._reader, self._name, self._clock = publish, reader, name, clock
-        self._receiver = Receiver()
-        self._schedule = ReportSchedule(clock())
+        self._publish, self._reader, self._clock = publish, reader, clock
+        self._receiver = Receiver(name, clock())
         self._counters = reader.read()
-        self._due_s = self._schedule.look_s
+        self._due_s = self._receiver.schedule.look_s
         self.probed_s = -math.inf  # when the last probe arrived
 
     def hear(self, sample: Sample) -> None:
@@ -74,9 +71,9 @@ class Peer:
             payload_bytes=len(packet),
             sent_ns=sample.sent_ns,
             received_ns=sample.received_ns,
+            quiet_s=header.quiet_s,
         )
-        self._schedule.note_probe(packets=header.packets, quiet_s=header.quiet_s)
-        self._due_s = min(self._due_s, self._schedule.due_s)
+        self._due_s = min(self._due_s, self._receiver.schedule.due_s)
 
     def step(self) -> float:
         """Send a report if one is due; return when to call again at the latest (s)."""
@@ -85,7 +82,7 @@ class Peer:
         return self._due_s
 
     def _look(self, now_s: float) -> None:
-        schedule, before = self._schedule, self._counters
+        schedule, before = self._receiver.schedule, self._counters
         after = self._reader.read() or before
         rx_bytes = rx_packets = 0
         if after and before:
@@ -94,22 +91,8 @@ class Peer:
         if now_s < schedule.due_s:
             self._due_s = schedule.due_s
             return
-        delays_s, trains = self._receiver.take()
-        if (interval_s := now_s - schedule.sent_at_s) > 0:
-            report = PeerReport(
-                peer=self._name,
-                received_at_s=now_s,
-                interval_s=min(interval_s, _LONGEST_S),
-                rx_bytes=rx_bytes,
-                rx_packets=rx_packets,
-                delays_s=delays_s,
-                trains=trains,
-                last_probe=self._receiver.last_probe,
-                probe_packets=self._receiver.packets_before,
-            )
-            self._publish(encode_report(report))
+        self._publish(encode_report(self._receiver.report(now_s, rx_bytes=rx_bytes, rx_packets=rx_packets)))
         self._counters = after
-        schedule.note_sent(now_s)
         self._due_s = schedule.look_s
 
 

@@ -151,7 +151,7 @@ class SimulatedLinkTopic(SimulatedSource):
     def result(self) -> TopicResult:
         """Return the result of the run."""
         flow = self._lane.state(self.timeline.now_s)
-        return self.counted(flow, flow.offered)
+        return self.arrivals.result(flow, expected=flow.offered)
 
     def on_arrival(self, sample: bytes) -> None:
         """Do nothing: a chunk has no latency of its own."""

@@ -31,8 +31,7 @@ class LinkModel:
     delay_s : one-way propagation delay (s)
     queue_bytes : queue in front of the bottleneck, with tail drop (bytes)
     loss : probability that a packet is lost after it has used the link, 0..1
-    outages : spans of run time in which nothing arrives in either direction (s, s)
-    losses : further loss over run time, by ascending start
+    losses : further loss over run time in both directions, by ascending start; 1 = nothing arrives
     packet_overhead_s : link time that a transmission takes beyond its bytes, >= 0 (s)
     aggregate_packets : most packets of one transmission, where so many wait, >= 1
     pushes_back : whether the bottleneck is the sender's interface, where a full queue makes a writer wait; otherwise it
@@ -44,18 +43,13 @@ class LinkModel:
     queue_bytes: int = 256_000
     pushes_back: bool = True
     loss: float = 0.0
-    outages: tuple[tuple[float, float], ...] = ()
     losses: tuple[LossStep, ...] = ()
     packet_overhead_s: float = 0.0
     aggregate_packets: int = 1
     firmware_bytes: int = 0
 
-    def is_out(self, run_s: float) -> bool:
-        """Return whether nothing arrives at this time."""
-        return any(start_s <= run_s < end_s for start_s, end_s in self.outages)
-
     def loss_ratio(self, run_s: float) -> float:
-        """Return the share of packets that are lost; outages do not count."""
+        """Return the share of packets that are lost at this time."""
         further = next((step.loss for step in reversed(self.losses) if step.start_s <= run_s), 0.0)
         return 1.0 - (1.0 - self.loss) * (1.0 - further)
 
@@ -86,7 +80,7 @@ class SimulatedLink:
         self._service = Service(schedule)
         # One frame is in service, not queued.
         self._room_bytes = model.queue_bytes + model.firmware_bytes + FRAME_BYTES
-        self._is_lossless = not (model.loss or model.outages or model.losses)
+        self._is_lossless = not (model.loss or model.losses)
         self._accepted_bytes = 0.0
         self._busy_until = self._service.by(timeline.now_s)  # bytes that the service can have carried by then
         self._left, self._come = _Passed(), _Passed()
@@ -175,8 +169,6 @@ class SimulatedLink:
         """Return how many of the packets that are due at this moment arrive; what is never due is not lost."""
         if math.isinf(at_s):
             return packets
-        if self._model.is_out(at_s):
-            return 0
         loss = self._model.loss_ratio(at_s)
         return sum([self._random.random() >= loss for _ in range(packets)]) if loss else packets
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from arpd.model.endpoints import FlowState
+    from arpd.sim.robot import SimTopic
     from arpd.sim.timeline import Timeline
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
@@ -85,11 +86,11 @@ class Arrivals:
 
     Parameters
     ----------
-    payload_bytes : of each sample, which begins with `SAMPLE` (bytes)
+    topic : whose samples it counts, each of which begins with `SAMPLE`
     """
 
-    def __init__(self, timeline: Timeline, payload_bytes: int) -> None:
-        self._timeline, self._payload_bytes = timeline, payload_bytes
+    def __init__(self, timeline: Timeline, topic: SimTopic) -> None:
+        self._timeline, self._topic = timeline, topic
         self._latencies_s: list[float] = []
         self._ages_s: list[float] = []
         self.sequences: set[int] = set()
@@ -99,7 +100,7 @@ class Arrivals:
     @property
     def delivered_bytes(self) -> int:
         """Payload of the samples that were received."""
-        return len(self.sequences) * self._payload_bytes
+        return len(self.sequences) * self._topic.payload_bytes
 
     def on_arrival(self, sample: bytes) -> None:
         """Note the latency of a sample on the wire; the middleware may hold it back until older ones arrive."""
@@ -124,17 +125,11 @@ class Arrivals:
         if self._newest is not None:
             self._ages_s.append(self._timeline.now_s - self._newest[1])
 
-    def result(self, flow: FlowState, *, topic: str, source_rate_hz: float, expected: int) -> TopicResult:
-        """Return the result of a run.
-
-        Parameters
-        ----------
-        flow : of the publisher
-        topic, source_rate_hz, expected : as in `TopicResult`
-        """
+    def result(self, flow: FlowState, *, expected: int) -> TopicResult:
+        """Return the result of a run with the flow of the publisher; `TopicResult` explains ``expected``."""
         return TopicResult(
-            topic=topic,
-            source_rate_hz=source_rate_hz,
+            topic=self._topic.name,
+            source_rate_hz=self._topic.rate_hz,
             expected=expected,
             offered=flow.offered,
             withheld=flow.withheld,

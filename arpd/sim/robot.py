@@ -121,7 +121,7 @@ class SimulatedSource:
 
     def __init__(self, timeline: Timeline, topic: SimTopic, *, node: str, name: str, ingress_s: float) -> None:
         self.timeline, self.topic, self._ingress_s = timeline, topic, ingress_s
-        self.arrivals = Arrivals(timeline, topic.payload_bytes)
+        self.arrivals = Arrivals(timeline, topic)
         self.swaps = 0
         self._padding = bytes(max(0, topic.payload_bytes - SAMPLE.size))
         self.name = name
@@ -144,11 +144,6 @@ class SimulatedSource:
     def told(self, flow: FlowState) -> PublisherState:
         """Return the state to announce."""
         return replace(self._announced, **flow.counted())
-
-    def counted(self, flow: FlowState, expected: int) -> TopicResult:
-        """Return the result of the run."""
-        topic = self.topic
-        return self.arrivals.result(flow, topic=topic.name, source_rate_hz=topic.rate_hz, expected=expected)
 
 
 class SimulatedPublisher(SimulatedSource):
@@ -222,7 +217,7 @@ class SimulatedPublisher(SimulatedSource):
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
-        return self.counted(self._flow.state(), self._ticks)
+        return self.arrivals.result(self._flow.state(), expected=self._ticks)
 
     def _write(self, sample: bytes) -> None:
         self._flow.write(sample)

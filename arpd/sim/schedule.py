@@ -28,16 +28,23 @@ class LossStep(NamedTuple):
     loss: float
 
 
+def outages(*spans_s: tuple[float, float]) -> tuple[LossStep, ...]:
+    """Return the loss over run time of a link on which nothing arrives in some spans (s)."""
+    return tuple(step for start_s, end_s in spans_s for step in (LossStep(start_s, 1.0), LossStep(end_s, 0.0)))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RateSchedule:
     """Rate of a link over the time of a run.
 
     Parameters
     ----------
-    steps : steps by ascending start, the first at 0; the last one holds without end
+    steps : steps by ascending start, the first at 0
+    period_s : when they begin again, after the last of them; infinite = that one holds without end (s)
     """
 
     steps: tuple[RateStep, ...]
+    period_s: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.steps or self.steps[0].start_s != 0.0:
@@ -66,7 +73,8 @@ class RateSchedule:
 
     def rate_at(self, t_s: float) -> float:
         """Return the rate at a moment of run time, 0 or later (bytes/s)."""
-        return self.steps[bisect_right(self.steps, t_s, key=lambda step: step.start_s) - 1].rate_bytes_per_second
+        now_s = t_s % self.period_s
+        return self.steps[bisect_right(self.steps, now_s, key=lambda step: step.start_s) - 1].rate_bytes_per_second
 
 
 def _parse_step(text: str) -> RateStep:
@@ -96,14 +104,23 @@ class Service:
         self._rates = [step.rate_bytes_per_second for step in schedule.steps]
         spans = (end - start for start, end in pairwise(self._starts))
         self._bytes = [0.0, *accumulate(s * r for s, r in zip(spans, self._rates, strict=False))]
+        self._period_s = self._period_bytes = math.inf
+        if math.isfinite(schedule.period_s):
+            self._period_bytes, self._period_s = self.by(schedule.period_s), schedule.period_s
 
     def by(self, t_s: float) -> float:
         """Return the bytes that the link can have carried from the start of the run to this moment."""
+        if t_s >= self._period_s:
+            turns, t_s = divmod(t_s, self._period_s)
+            return turns * self._period_bytes + self.by(t_s)
         i = max(0, bisect_right(self._starts, t_s) - 1)
         return self._bytes[i] + (t_s - self._starts[i]) * self._rates[i]
 
     def when(self, size: float) -> float:
         """Return the first moment by which the link can have carried so many bytes, ``inf`` = never (s)."""
+        if size > self._period_bytes:
+            turns, size = divmod(size, self._period_bytes)
+            return turns * self._period_s + self.when(size)
         i = max(0, bisect_left(self._bytes, size) - 1)
         base, start_s, rate = self._bytes[i], self._starts[i], self._rates[i]
         if not rate:  # no further byte after the last step; all earlier ones at its start

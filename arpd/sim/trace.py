@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,6 @@ from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from typing import Self
 
 _COLUMNS = ("time_s", "rate_bit_per_s", "loss")
 _BARE = ("time_s", "rate_mbit_per_s")  # of a table without a header
@@ -37,26 +35,15 @@ class LinkTrace:
     Parameters
     ----------
     name : name of its file
-    rates : rate over time; the last one holds unless the trace repeats
+    rates : rate over time
     losses : probability of loss over time, by ascending start; empty = not recorded
     duration_s : length of the recording, up to the last row or the last delivery (s)
-    repeats : True if the recording starts again at its end, as mahimahi plays it
     """
 
     name: str
     rates: RateSchedule
     losses: tuple[LossStep, ...] = ()
     duration_s: float
-    repeats: bool = False
-
-    def lasting(self, run_s: float) -> Self:
-        """Return the trace for a run of ``run_s`` seconds, drain included; it is as long as the run if it repeats."""
-        turns = math.ceil(run_s / self.duration_s) if self.repeats else 1
-        if turns <= 1:
-            return self
-        begins_s = [turn * self.duration_s for turn in range(turns)]
-        rates = tuple(step._replace(start_s=at_s + step.start_s) for at_s in begins_s for step in self.rates.steps)
-        return replace(self, rates=RateSchedule(steps=rates), duration_s=turns * self.duration_s, repeats=False)
 
 
 def read_trace(path: Path) -> LinkTrace:
@@ -158,8 +145,9 @@ def _mahimahi(name: str, first: int, lines: _Lines) -> LinkTrace:
         deliveries[max(0, last_ms - 1) // _BIN_MS] += 1
     if not last_ms:
         raise _Fault(first, "the trace takes no time; its last delivery must come after 0 ms")
-    rates = RateSchedule(steps=tuple(_bins(deliveries, last_ms)))
-    return LinkTrace(name=name, rates=rates, duration_s=last_ms / 1000.0, repeats=True)
+    duration_s = last_ms / 1000.0
+    rates = RateSchedule(steps=tuple(_bins(deliveries, last_ms)), period_s=duration_s)
+    return LinkTrace(name=name, rates=rates, duration_s=duration_s)
 
 
 def _bins(deliveries: Counter[int], last_ms: int) -> Iterator[RateStep]:

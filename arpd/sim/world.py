@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.estimate.receiver import Receiver, ReportSchedule
+from arpd.estimate.receiver import Receiver
 from arpd.model.endpoints import Direction
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState, Observation
-from arpd.model.probing import PeerReport
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.nodes import SILENT_S
 from arpd.ros.peer_reports import FORGOTTEN_S
-from arpd.sim.link import FRAME_BYTES
+from arpd.sim.link import FRAME_BYTES, Loopback
 from arpd.sim.timeline import Alarm
 
 if TYPE_CHECKING:
@@ -26,17 +25,17 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
-    from arpd.model.probing import ProbeRequest
+    from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
     from arpd.sim.link import ForeignFlow, SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
+    from arpd.sim.socket import Carrier
     from arpd.sim.timeline import Timeline
 
     Managed = SimulatedPublisher | SimulatedLinkTopic
 
 RELAY, PLANNER = "/arpd_relay", "/planner"
 _PEER = "base"
-_ON_HOST_S = 0.001
 _TELL_S = 1.0
 _SILENT_S = 5.0  # as in arpd.endpoint.node_publishers
 _AGAIN_S = 1.5  # nothing here repeats what is lost, as DDS does
@@ -51,7 +50,8 @@ class _Node:
     """One node with adaptive publishers, and what the daemon has asked of it."""
 
     publishers: list[Managed]
-    is_remote: bool
+    there: Carrier  # way to it
+    back: Carrier
     generation: int = 0
     lease_s: float = 0.0
     price: Price | None = None
@@ -61,7 +61,7 @@ class _Node:
 
 
 class SimulatedWorld:
-    """An `arpd.daemon.tick.World` over the simulated link, which all traffic from and to remote nodes crosses.
+    """An `arpd.daemon.world.World` over the simulated link, which all traffic from and to remote nodes crosses.
 
     Parameters
     ----------
@@ -101,23 +101,24 @@ class SimulatedWorld:
         self._asked_generation, self._asked_at_s = -1, -math.inf
         self.report_bytes = 0
         # The receiver on the base computer.
-        self._receiver, self._schedule = Receiver(), ReportSchedule(self._soon_s())
+        self._receiver = Receiver(_PEER, self._soon_s())
         self._received = 0, 0  # bytes and packets by its last report
         self._stamp_s = -math.inf
         of = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         if end is not None:
             of[Direction.LOCAL] = []
             timeline.every(_TELL_S, self._summarise, first_s=self._soon_s())
+        host = Loopback(timeline)
         self._nodes = (
-            _Node(of[Direction.SENSING] + of[Direction.LOCAL], is_remote=False),
-            _Node(of[Direction.ACTUATION], is_remote=True),
+            _Node(of[Direction.SENSING] + of[Direction.LOCAL], there=host, back=host),
+            _Node(of[Direction.ACTUATION], there=up, back=down),
         )
         self._counts = {direction: len(publishers) for direction, publishers in of.items()}
         for node in self._nodes:
             timeline.every(_TELL_S, partial(self._tell, node), first_s=self._soon_s())
         self._report_alarm = Alarm(timeline, self._look)
         if has_peer:
-            self._report_alarm.set(self._schedule.due_s)
+            self._report_alarm.set(self._receiver.schedule.due_s)
 
     def _soon_s(self) -> float:
         """Return a moment in the next second."""
@@ -186,10 +187,7 @@ class SimulatedWorld:
     # -- on the nodes
 
     def _reach(self, node: _Node, wire_bytes: int, deliver: Callable[[], None]) -> None:
-        if node.is_remote:
-            self._up.send(wire_bytes, 1, deliver)
-        else:
-            self._timeline.at(self._timeline.now_s + _ON_HOST_S, deliver)
+        node.there.send(wire_bytes, 1, deliver)
 
     def _on_price(self, node: _Node, price: Price) -> None:
         node.price, node.price_at_s = price, self._timeline.now_s
@@ -211,11 +209,7 @@ class SimulatedWorld:
             replace(publisher.state(), generation=node.generation, lease_s=node.lease_s)
             for publisher in node.publishers
         )
-        deliver = partial(self._on_snapshot, node, states)
-        if node.is_remote:
-            self._down.send(_SNAPSHOT_BYTES, 1, deliver)
-        else:
-            self._timeline.at(now_s + _ON_HOST_S, deliver)
+        node.back.send(_SNAPSHOT_BYTES, 1, partial(self._on_snapshot, node, states))
 
     def _on_snapshot(self, node: _Node, states: tuple[PublisherState, ...]) -> None:
         now_s = node.announced_at_s = self._timeline.now_s
@@ -238,36 +232,23 @@ class SimulatedWorld:
             payload_bytes=request.packet_bytes,
             sent_ns=round(sent_s * 1e9),
             received_ns=round((self._stamp_s + _PEER_CLOCK_S) * 1e9),
+            quiet_s=request.quiet_s,
         )
-        self._schedule.note_probe(packets=request.packets, quiet_s=request.quiet_s)
-        self._report_alarm.set_by(self._schedule.due_s)
+        self._report_alarm.set_by(self._receiver.schedule.due_s)
 
     def _look(self) -> None:
         """Send a report if one is due, as `arpd.ros.peer` does."""
-        self._schedule.note_traffic(self._received_by_peer()[0] - self._received[0])
-        if self._timeline.now_s < self._schedule.due_s:
-            self._report_alarm.set(self._schedule.due_s)
+        now_s, schedule = self._timeline.now_s, self._receiver.schedule
+        (before, packets_before), (after, packets) = self._received, self._received_by_peer()
+        schedule.note_traffic(after - before)
+        if now_s < schedule.due_s:
+            self._report_alarm.set(schedule.due_s)
             return
-        self._report()
-        self._report_alarm.set(self._schedule.look_s)
-
-    def _report(self) -> None:
-        (before, packets_before), self._received = self._received, self._received_by_peer()
-        delays_s, trains = self._receiver.take()
-        report = PeerReport(
-            peer=_PEER,
-            received_at_s=0.0,
-            interval_s=self._timeline.now_s - self._schedule.sent_at_s,
-            rx_bytes=self._received[0] - before,
-            rx_packets=self._received[1] - packets_before,
-            delays_s=delays_s,
-            trains=trains,
-            last_probe=self._receiver.last_probe,
-            probe_packets=self._receiver.packets_before,
-        )
-        self._schedule.note_sent(self._timeline.now_s)
+        report = self._receiver.report(now_s, rx_bytes=after - before, rx_packets=packets - packets_before)
+        self._received = after, packets
         self.report_bytes += _REPORT_BYTES
-        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, self._timeline.now_s))
+        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, now_s))
+        self._report_alarm.set(schedule.look_s)
 
     def _received_by_peer(self) -> tuple[int, int]:
         """Return the bytes and packets that the peer's interface counts."""

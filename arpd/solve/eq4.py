@@ -136,9 +136,8 @@ class AlikeOnLink(Link):
         )
 
     def _given_up(self, *, holds: float) -> list[str]:
-        reserve, kept = 1.0, 1.0
-        if self._floor_hz:
-            reserve, kept = max(0.0, self._even_hz / self._floor_hz - 1.0), self._even_hz / self._floor_hz
+        kept = self._even_hz / self._floor_hz if self._floor_hz else math.inf
+        reserve = max(0.0, kept - 1.0)
         words = [f"rate reserve {left(reserve)}"] if reserve < 1.0 - TOLERANCE else []
         words += [f"minimum rate {left(kept)}"] if kept < 1.0 - TOLERANCE else []
         depth = ["memory budget below the minimum depth"] if holds < 1.0 - TOLERANCE else []

@@ -92,13 +92,11 @@ class Link:
 
     def bindings(self, rates_hz: Column) -> list[Binding]:
         """Return what stops each rate: its ceiling, its floor, or the link."""
-        columns = (column.tolist() for column in (rates_hz, self.floors_hz, self.ceilings_hz))
-        return [
-            Binding.DESIRED_RATE
-            if rate_hz >= ceiling_hz
-            else (Binding.MINIMUM if floor_hz and math.isclose(rate_hz, floor_hz) else Binding.LINK)
-            for rate_hz, floor_hz, ceiling_hz in zip(*columns, strict=True)
-        ]
+        is_full, is_floor = rates_hz >= self.ceilings_hz, np.isclose(rates_hz, self.floors_hz, rtol=1e-9, atol=0.0)
+        found = np.select(
+            [is_full, is_floor & (self.floors_hz > 0.0)], [Binding.DESIRED_RATE, Binding.MINIMUM], Binding.LINK
+        )
+        return [Binding(each) for each in found.tolist()]
 
     def priced(self, level: float, floors: Yielding) -> Price:
         """Return the price of a level on this link."""

@@ -24,7 +24,7 @@ from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import ForeignFlow, LinkModel
 from arpd.sim.result import percentile
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import LossStep, RateSchedule, RateStep
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep, outages
 from arpd.sim.trace import read_trace
 from scripts.bench.links import GOOD_S, MBIT, WALK, bursts
 from scripts.bench.report import Summary, figure, table
@@ -199,7 +199,7 @@ SCENARIOS: dict[str, Scenario] = {
     "outages, lost": Scenario(
         duration_s=57.0,
         schedule=_steps((0.0, 20.0)),
-        model=LinkModel(queue_bytes=_QUEUE_BYTES, outages=_OUTAGES),
+        model=LinkModel(queue_bytes=_QUEUE_BYTES, losses=outages(*_OUTAGES)),
         outages=_OUTAGES,
     ),
     "outages, stalled": Scenario(duration_s=57.0, schedule=_steps((0.0, 20.0), *_STALLS), outages=_OUTAGES),

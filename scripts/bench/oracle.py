@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from arpd.daemon.run import run_daemon
 from arpd.host.interface import read_counters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
-from arpd.sim.baselines import Oracle
+from arpd.sim.oracle import Oracle
 from arpd.sim.schedule import RateSchedule, RateStep, Service
 from scripts.bench.links import at
 from scripts.netns.simlink import INTERFACE

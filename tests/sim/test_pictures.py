@@ -9,7 +9,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import RateSchedule
+from arpd.sim.schedule import RateSchedule, outages
 
 TOPICS = (
     SimTopic(name="/camera", payload_bytes=900_000, rate_hz=10.0),
@@ -49,7 +49,7 @@ def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back
 
 def test_after_an_outage_of_two_ends_no_old_command_runs():
     """What waited while the link was out is replaced by what is newer, in both directions."""
-    model = LinkModel(outages=((12.0, 16.0),))
+    model = LinkModel(losses=outages((12.0, 16.0)))
     result = Scenario(ENDS, RateSchedule.parse("0:20mbit"), LASTS_S, model=model, topics=TOPICS).play()
     _, imu, command = result.topics
     for topic in (imu, command):

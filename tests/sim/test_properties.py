@@ -14,7 +14,7 @@ from arpd.model.link import LinkState
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
 from arpd.sim.robot import SimTopic
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.schedule import RateSchedule, RateStep, outages
 from tests.sim.watched import MBIT, Tick, watch
 
 PAST_S, REST_S, WATCH_S = 25.0, 75.0, 15.0  # a rise counts when it has held for 30 s, and waits for three dwells
@@ -53,16 +53,16 @@ def random_rates(random: Random, until_s: float) -> list[RateStep]:
 
 def random_model(random: Random, until_s: float) -> LinkModel:
     """Draw delay, queue, loss and overhead; outages end before ``until_s``."""
-    outages, t_s = [], 0.0
+    spans_s, t_s = [], 0.0
     while random.random() < 0.4 and (t_s := t_s + random.uniform(1.0, 20.0)) < until_s - 4.0:
-        outages.append((t_s, t_s + random.uniform(0.1, 4.0)))
-        t_s = outages[-1][1]
+        spans_s.append((t_s, t_s + random.uniform(0.1, 4.0)))
+        t_s = spans_s[-1][1]
     has_overhead = random.random() < 0.5
     return LinkModel(
         delay_s=random.choice([0.001, 0.005, 0.03]),
         queue_bytes=random.choice([30_000, 256_000, 1_000_000]),
         loss=random.choice([0.0, 0.0, 0.01]),
-        outages=tuple(outages),
+        losses=outages(*spans_s),
         packet_overhead_s=random.choice([50e-6, 200e-6]) if has_overhead else 0.0,
         aggregate_packets=random.choice([1, 16, 64]) if has_overhead else 1,
         firmware_bytes=random.choice([0, 0, 20_000, 100_000]),

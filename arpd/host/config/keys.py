@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 Written: TypeAlias = str | float | list[str]  # a value as the file has it
 SETTINGS = TypeAdapter(Settings)
 SCHEMA = SETTINGS.json_schema()
-_RESTART_ONLY = ("link.interface", "http.", "relay.")
 
 
 def _sections(schema: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
@@ -78,8 +77,3 @@ def changes(old: Settings, new: Settings) -> dict[str, str]:
         for key in before | after
         if before.get(key) != after.get(key)
     }
-
-
-def needs_restart(key: str) -> bool:
-    """Return whether a change of the dotted key takes effect only after a restart."""
-    return key.startswith(_RESTART_ONLY)

@@ -11,12 +11,13 @@ import pytest
 
 from arpd.daemon import tick
 from arpd.daemon.tick import Daemon
-from arpd.host.config.keys import SECTIONS, flatten, needs_restart
+from arpd.host.config.keys import SECTIONS, flatten
 from arpd.host.config.load import load_settings
 from arpd.model.observation import MemoryState
 from arpd.solve import backends
 from tests.sample_publishers import publisher
 from tests.unit.daemon.world import World
+from tests.unit.host.config.test_load import AT_START
 
 DT_S = 1.0
 COURSE_S = 60.0
@@ -86,8 +87,8 @@ CHANGES: dict[str, tuple[Any, dict[str, Any]]] = {
 }
 # In force, but without effect on the daemon: `arpd solve` reads them.
 OFFLINE = {"topics.payload", "topics.source_rate_hz"}
-FREE = sorted(key for key in CHANGES if not needs_restart(key))
-BOUND = sorted(key for key in CHANGES if needs_restart(key))
+FREE = sorted(key for key in CHANGES if not key.startswith(AT_START))
+BOUND = sorted(key for key in CHANGES if key.startswith(AT_START))
 
 
 class Robot(World):

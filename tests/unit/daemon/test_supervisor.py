@@ -62,7 +62,7 @@ class Daemon:
         self.then = iter(())
         self.settings = Settings()
         self.loaded = []
-        self.refused = []
+        self.error = ""
         self.failed = 0
         self.ticked = 0
         self.record = self.configuration = self
@@ -83,9 +83,6 @@ class Daemon:
 
     def reload(self, load):
         self.loaded.append(load())
-
-    def note_failed_reload(self, why):
-        self.refused.append(why)
 
     def note_failed_tick(self):
         self.failed += 1
@@ -135,9 +132,6 @@ def protocol(notifier):
     return [message for message in notifier.messages if message in {"READY", "RELOADING"}]
 
 
-# -- ticks
-
-
 # -- reload
 
 
@@ -171,7 +165,7 @@ def test_whatever_a_reload_raises_is_refused_and_answered(signals, caplog):
     with running(daemon, signals, fail) as notifier:
         send(signal.SIGHUP)
         eventually("the reload is answered", lambda: protocol(notifier) == ["READY", "RELOADING", "READY"])
-    assert daemon.refused == ["ValueError: a bug"]
+    assert daemon.error == "ValueError: a bug"
     assert "the configuration in force stays" in caplog.text
 
 

@@ -9,6 +9,7 @@ import pytest
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
+from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import LinkSettings, Settings
 from arpd.solve.program import Program
 from tests.sample_link import LINK
@@ -55,6 +56,18 @@ def test_a_clean_stop_restores_the_application_s_qos():
     assert restored(world) == 0
     assert (world.writer.depth, world.writer.deadline_ns) == (10, 90 * MS)
     assert world.writer.generation >= 7
+
+
+def test_a_clean_stop_restores_by_a_generation_that_nodes_take():
+    """A node that announces the highest generation keeps nobody from restoring: nodes refuse a higher one."""
+    world = Robot()
+    world.change(generation=MOST_GENERATION, direction=Direction.SENSING, remote_readers=1)
+    settings = Settings(link=LinkSettings(capacity_bytes_per_second=1e6))
+    daemon = Daemon(world, settings, interface="lo", clock=lambda: world.now_s)
+    while daemon.tick(world.now_s).plan.generation == 0:
+        world.wait(0.1)
+    assert daemon.restore(wait=world.wait) == 0
+    assert (world.writer.depth, world.writer.generation) == (10, MOST_GENERATION)
 
 
 def test_a_clean_stop_gives_the_rates_back_last():

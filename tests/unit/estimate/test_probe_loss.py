@@ -1,20 +1,21 @@
 """Loss of probe packets: exact, with packets on their way and with lost reports."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.estimate.probes import ProbeLoss
 from arpd.estimate.receiver import Receiver
-from arpd.model.probing import PeerReport, ProbeRequest
+from arpd.model.probing import ProbeRequest
 
 
 class Peer:
     """A receiver behind a link that loses packets; it has counted packets of earlier daemons."""
 
     def __init__(self, name="base", *, counted=0):
-        self.name = name
-        self.receiver = Receiver()
+        self.receiver = Receiver(name, 0.0)
         self.receiver._received = counted  # from earlier daemons
 
     def hear(self, request, arriving):
@@ -24,15 +25,8 @@ class Peer:
             )
 
     def report(self, now_s):
-        return PeerReport(
-            peer=self.name,
-            received_at_s=now_s,
-            interval_s=0.1,
-            rx_bytes=0,
-            rx_packets=0,
-            last_probe=self.receiver.last_probe,
-            probe_packets=self.receiver.packets_before % 2**32,
-        )
+        report = self.receiver.report(now_s, rx_bytes=0, rx_packets=0)
+        return replace(report, probe_packets=report.probe_packets % 2**32)
 
 
 def request(number, packets=1):

@@ -93,28 +93,28 @@ def send(receiver, number, packets, *, indices=None, at_ns=0, spacing_ns=SPACING
 
 def test_a_complete_train_is_reported_once():
     """A train is available once its last packet arrives, and is taken once."""
-    receiver = Receiver()
+    receiver = Receiver("base", 0.0)
     send(receiver, 5, 10)
-    delays, trains = receiver.take()
-    assert (len(delays), len(trains), receiver.last_probe) == (1, 1, 5)
-    assert trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
-    assert receiver.take() == ((), ())
+    first, second = (receiver.report(at_s, rx_bytes=0, rx_packets=0) for at_s in (0.1, 0.3))
+    assert (len(first.delays_s), len(first.trains), first.last_probe) == (1, 1, 5)
+    assert first.trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert (second.delays_s, second.trains, second.interval_s) == ((), (), pytest.approx(0.2))
 
 
 @pytest.mark.parametrize("lost", [{4}, {0}, {19}, {0, 19}, {7, 8}])
 def test_a_tenth_may_be_lost_anywhere(lost):
     """A train counts without its first or last packet; the next probe ends it."""
-    receiver = Receiver()
+    receiver = Receiver("base", 0.0)
     send(receiver, 1, 20, indices=[i for i in range(20) if i not in lost])
     send(receiver, 2, 1)
-    (train,) = receiver.take()[1]
+    (train,) = receiver.report(0.1, rx_bytes=0, rx_packets=0).trains
     # A packet lost in the middle took link time, and its bytes do not count: the train reads low, never high.
     assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
 
 
 def test_repeated_packets_do_not_pile_up():
     """A sender that repeats one packet of a train without end takes no memory."""
-    receiver = Receiver()
+    receiver = Receiver("base", 0.0)
     send(receiver, 1, 10, indices=[0] * 1000)
     assert len(receiver._arrivals) <= 10
 

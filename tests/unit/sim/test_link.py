@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import pairwise
 from random import Random
 
@@ -10,12 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.schedule import LossStep, RateSchedule, RateStep, Service
+from arpd.sim.link import FRAME_BYTES, LinkModel, SimulatedLink
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep, Service, outages
 from arpd.sim.timeline import Timeline
 from tests.examples import examples
-
-FRAME_BYTES = 1514
 
 
 def schedule_of(*steps):
@@ -28,37 +25,14 @@ def carried(schedule, from_s, until_s):
     return sum((end - start) * schedule.rate_at(max(0.0, start)) for start, end in pairwise(edges))
 
 
-@dataclass
-class Bench:
-    """A link under test, and the run time at which each datagram was sent and arrived."""
+def link_of(schedule, model, seed=1):
+    """Return a link, and its time."""
+    timeline = Timeline(0.0)
+    return SimulatedLink(timeline, schedule, model=model, random=Random(seed)), timeline
 
-    schedule: RateSchedule
-    model: LinkModel
-    seed: int = 1
-    sent: dict[int, tuple[float, float]] = field(default_factory=dict)
-    arrived: dict[int, float] = field(default_factory=dict)
 
-    def __post_init__(self):
-        self.timeline = Timeline(0.0)
-        self.link = SimulatedLink(self.timeline, self.schedule, model=self.model, random=Random(self.seed))
-
-    @property
-    def now_s(self):
-        return self.timeline.now_s
-
-    def send(self, wire_bytes, packets=1):
-        number = len(self.sent)
-        self.sent[number] = (self.now_s, wire_bytes)
-        return self.link.send(wire_bytes, packets, lambda: self.arrived.__setitem__(number, self.now_s))
-
-    def run_until(self, t_s):
-        self.timeline.run_until(t_s)
-
-    def saturate(self, wire_bytes, until_s, *, every_s):
-        """Send packets at a fixed interval."""
-        while self.now_s < until_s:
-            self.send(wire_bytes)
-            self.run_until(self.now_s + every_s)
+def nothing():
+    """Receive a datagram."""
 
 
 rates = st.one_of(st.just(0.0), st.floats(1e4, 1e7))
@@ -81,8 +55,9 @@ MODEL = {
 models = st.builds(
     LinkModel,
     loss=st.sampled_from([0.0, 0.2]),
-    outages=st.sampled_from([(), ((0.2, 0.5),)]),
-    losses=st.sampled_from([(), (LossStep(start_s=0.3, loss=0.5), LossStep(start_s=0.6, loss=0.0))]),
+    losses=st.sampled_from(
+        [(), outages((0.2, 0.5)), (LossStep(start_s=0.3, loss=0.5), LossStep(start_s=0.6, loss=0.0))]
+    ),
     **MODEL,
 )
 sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)
@@ -95,18 +70,17 @@ sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), s
 @given(schedules, models, sends, st.integers(0, 5))
 def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, seed):
     """Every packet is dropped, lost or received; counters never fall, and the host's queue keeps within its size."""
-    bench = Bench(schedule, model, seed)
-    link = bench.link
+    link, timeline = link_of(schedule, model, seed)
     before = 0.0, 0.0
     for gap_s, packet_bytes, packets in offered:
-        bench.run_until(bench.now_s + gap_s)
-        bench.send(packet_bytes * packets, packets)
+        timeline.run_until(timeline.now_s + gap_s)
+        link.send(packet_bytes * packets, packets, nothing)
         assert link.backlog_bytes <= model.queue_bytes + FRAME_BYTES + 1e-3
         counters = link.sent_bytes, link.received_bytes()
         assert all(now >= then - 1e-3 for now, then in zip(counters, before, strict=True))
         assert link.received_bytes() <= link.sent_bytes + 1e-3
         before = counters
-    bench.run_until(bench.now_s + 60.0)
+    timeline.run_until(timeline.now_s + 60.0)
     assert link.sent_packets + link.dropped_packets == sum(packets for _, _, packets in offered)
     assert link.sent_packets == link.received_packets + link.lost_packets
     assert link.lost_packets or link.received_bytes() == pytest.approx(link.sent_bytes, abs=1e-3)
@@ -135,16 +109,13 @@ def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
 @pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])
 def test_firmware_hides_what_it_holds(model):
     """The host counts bytes in the firmware as sent and sees no backlog, but packets wait for them."""
-    bench = Bench(schedule_of((0.0, 1000.0)), LinkModel(firmware_bytes=5000, queue_bytes=3000, **model))
+    link, _ = link_of(schedule_of((0.0, 1000.0)), LinkModel(firmware_bytes=5000, queue_bytes=3000, **model))
     for _ in range(5):
-        bench.send(1000)
-    assert bench.link.backlog_bytes == 0.0
-    assert bench.link.sent_bytes == 5000.0
-    assert bench.link.queue_delay_s >= 5.0
-    bench.send(1000)
-    assert bench.link.backlog_bytes == 1000.0
-    assert bench.link.sent_bytes == 5000.0
+        link.send(1000, 1, nothing)
+    assert (link.backlog_bytes, link.sent_bytes) == (0.0, 5000.0)
+    assert link.queue_delay_s >= 5.0
+    link.send(1000, 1, nothing)
+    assert (link.backlog_bytes, link.sent_bytes) == (1000.0, 5000.0)
     for _ in range(9):
-        bench.send(1000)
-    assert bench.link.dropped_packets == 6
-    assert bench.link.backlog_bytes == 4000.0
+        link.send(1000, 1, nothing)
+    assert (link.dropped_packets, link.backlog_bytes) == (6, 4000.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.errors import TraceError
+from arpd.sim.schedule import Service
 from arpd.sim.trace import read_trace
 from tests.examples import examples
 
@@ -31,14 +33,6 @@ def steps_of(trace):
     return [(step.start_s, step.rate_bytes_per_second) for step in trace.rates.steps]
 
 
-def total_bytes(trace):
-    """Return the bytes that the trace carries in its duration."""
-    ends = [step.start_s for step in trace.rates.steps[1:]] + [trace.duration_s]
-    return sum(
-        step.rate_bytes_per_second * (end - step.start_s) for step, end in zip(trace.rates.steps, ends, strict=True)
-    )
-
-
 # -- CSV
 
 EXAMPLE = """time_s,rate_bit_per_s,loss
@@ -57,15 +51,14 @@ def test_the_documented_csv_reads_as_its_rows(written):
     assert trace.name == "link.trace"
     assert steps_of(trace) == [(0.0, 2_500_000.0), (12.5, 625_000.0), (30.0, 0.0), (31.0, 2_500_000.0)]
     assert [(step.start_s, step.loss) for step in trace.losses] == [(0.0, 0.0), (12.5, 0.01), (30.0, 1.0), (31.0, 0.0)]
-    assert trace.duration_s == 31.0
-    assert not trace.repeats
+    assert (trace.duration_s, trace.rates.period_s) == (31.0, math.inf)
 
 
 def test_a_recording_of_seconds_and_mbit_is_read_as_it_is_published(written):
     """Rows have a tab or blanks between; the run begins at the first."""
     trace = read_trace(written("10.0\t20\n12.5\t0.8\n  13   0\n"))
     assert steps_of(trace) == [(0.0, 2_500_000.0), (2.5, 100_000.0), (3.0, 0.0)]
-    assert not trace.repeats
+    assert math.isinf(trace.rates.period_s)
 
 
 # -- mahimahi
@@ -75,23 +68,24 @@ def test_a_mahimahi_trace_becomes_mean_rates(written):
     """Each span of 20 ms, and the shorter last one, gets the mean rate of its deliveries of 1500 bytes."""
     trace = read_trace(written("0\n1\n20\n45\n"))
     assert steps_of(trace) == [(0.0, 225_000.0), (0.02, 0.0), (0.04, 300_000.0)]
-    assert trace.duration_s == 0.045
-    assert trace.repeats
+    assert trace.duration_s == trace.rates.period_s == 0.045
     assert trace.losses == ()
 
 
 @examples(100)
 @given(st.lists(st.integers(0, 500), min_size=1, max_size=200).filter(any), st.integers(1, 5))
 def test_no_delivery_is_lost_or_invented(tmp_path_factory, moments, turns):
-    """The trace carries 1500 bytes per line in its duration, and n times as many in n durations."""
+    """The trace carries 1500 bytes per line in its duration, and n times as many in n durations, in a day as well."""
     path = tmp_path_factory.mktemp("trace") / "t.up"
     path.write_text("".join(f"{moment}\n" for moment in sorted(moments)))
     trace = read_trace(path)
     assert trace.duration_s == max(moments) / 1000.0
-    assert total_bytes(trace) == pytest.approx(1500.0 * len(moments), rel=1e-12)
-    longer = trace.lasting((turns - 0.5) * trace.duration_s)
-    assert longer.duration_s == pytest.approx(turns * trace.duration_s)
-    assert total_bytes(longer) == pytest.approx(1500.0 * len(moments) * turns, rel=1e-9)
+    service, size = Service(trace.rates), 1500.0 * len(moments)
+    for turn in (turns, turns + 0.5, 86_400_000):
+        carried = service.by(turn * trace.duration_s)
+        assert carried == pytest.approx(int(turn) * size + service.by(turn % 1 * trace.duration_s), rel=1e-9)
+        assert service.by(service.when(carried)) == pytest.approx(carried, rel=1e-9)
+    assert service.by(trace.duration_s) == pytest.approx(size, rel=1e-12)
 
 
 # -- faults
@@ -146,4 +140,4 @@ def test_whatever_a_file_holds_it_is_a_trace_or_refused(content):
         trace = read_trace(path)
     except TraceError:
         return
-    assert trace.lasting(2 * trace.duration_s).rates.rate_at(0.0) >= 0.0
+    assert trace.rates.rate_at(2 * trace.duration_s) >= 0.0

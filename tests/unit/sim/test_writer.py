@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from arpd.model.endpoints import WriterQos
 from arpd.sim.link import LinkModel, SimulatedLink
 from arpd.sim.result import SAMPLE, Arrivals
+from arpd.sim.robot import SimTopic
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Timeline
@@ -22,7 +23,7 @@ class Delivered(Arrivals):
     """Records the samples that a reader receives, in order."""
 
     def __init__(self, timeline):
-        super().__init__(timeline, 500)
+        super().__init__(timeline, SimTopic(name="/t", payload_bytes=500, rate_hz=1.0))
         self.delivered = []
 
     def on_delivery(self, sample):

@@ -1,4 +1,4 @@
-"""The estimator to compare arpd's with: an oracle.
+"""The oracle, an estimator to compare arpd's with.
 
 The governor sees delivery rates, outages and queues by the same definitions as with arpd's estimator.
 """
