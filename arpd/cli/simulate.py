@@ -18,17 +18,7 @@ from arpd.host.config.load import load_settings
 from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
 from arpd.model.link import LinkState
-from arpd.model.quantities import (
-    format_duration,
-    format_number,
-    format_rate,
-    format_size,
-    parse_duration,
-    parse_size,
-    printable,
-    spell_duration,
-    spell_size,
-)
+from arpd.model.quantities import DURATION, SIZE, format_duration, format_number, format_rate, format_size, printable
 from arpd.report.wording import count
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import LinkModel
@@ -94,7 +84,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     def add(option: str, reader: Callable[[str], Any], default: float, metavar: str, about: str) -> None:
         link.add_argument(option, type=reader, default=default, metavar=metavar, help=about)
 
-    size = within(0.0, _MOST_QUEUE_BYTES, parse=parse_size, spell=spell_size)
+    size = within(0.0, _MOST_QUEUE_BYTES, parse=SIZE.parse, spell=SIZE.spell)
     costs = "link time a transmission costs besides its bytes"
     add("--loss", within(0.0, 1.0, parse=float), 0.0, "SHARE", "of packets lost, besides the trace's (default 0)")
     add("--delay", _duration(0.0, _MOST_DELAY_S), _LINK.delay_s, "TIME", "one way, without a queue (default 2ms)")
@@ -203,7 +193,7 @@ def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
 
 
 def _duration(least_s: float, most_s: float) -> Callable[[str], float]:
-    return within(least_s, most_s, parse=parse_duration, spell=spell_duration)
+    return within(least_s, most_s, parse=DURATION.parse, spell=DURATION.spell)
 
 
 def _course(moments: Sequence[Moment]) -> Mapping[str, tuple[Any, ...]]:

@@ -16,7 +16,7 @@ from arpd.govern.plan import Wanted
 from arpd.host.config.load import load_settings
 from arpd.host.config.yaml_source import START, Fault, config_error
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.quantities import format_number, format_rate, format_share, format_size, parse_rate, printable
+from arpd.model.quantities import RATE, format_number, format_rate, format_share, format_size, printable
 from arpd.model.settings import Backend
 from arpd.report.wording import count
 from arpd.solve.backends import Solver
@@ -150,10 +150,10 @@ binding: {binding}; solved by {backend}""".format(
 
 def _solve_topics(options: argparse.Namespace) -> int:
     try:
-        capacities = [parse_rate(rate) for rate in options.capacity.split(",")]
+        capacities = [RATE.parse(rate) for rate in options.capacity.split(",")]
     except ValueError as error:
         raise UsageError(f"--capacity: {error}") from None
-    if max(capacities) > parse_rate(_FASTEST):
+    if max(capacities) > RATE.parse(_FASTEST):
         raise UsageError(f"--capacity: '{printable(options.capacity)}' is out of range; write at most {_FASTEST}")
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     if options.backend:

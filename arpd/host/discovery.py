@@ -79,17 +79,17 @@ def heard(
     own : addresses of this computer
     duration_s : time in which they came (s)
     """
-    told: dict[bytes, tuple[str, dict[str, str], set[str]]] = {}
+    participants: dict[bytes, tuple[str, dict[str, str], set[str]]] = {}
     size_bytes = 0
     for packet, sender in packets:
         size_bytes += len(packet) + _HEADERS_BYTES
         participant = participant_in(packet)
-        if participant is not None and len(told) < _MOST_PARTICIPANTS:
-            _, properties, transports = told.setdefault(participant, (sender, {}, set()))
+        if participant is not None and len(participants) < _MOST_PARTICIPANTS:
+            _, properties, transports = participants.setdefault(participant, (sender, {}, set()))
             more, kinds = announced(packet)
             properties.update(more)
             transports.update(kinds)
-    announcers = [_announcer(*one, own) for one in told.values()]
+    announcers = [_announcer(*one, own) for one in participants.values()]
     return HeardDiscovery(
         domain_id=domain_id,
         announcers=tuple(sorted(announcers, key=lambda one: (not one.is_here, one.host, one.process))),
@@ -218,17 +218,17 @@ def discovery_socket(domain_id: int) -> socket.socket:
     OSError
         If the kernel refuses it.
     """
-    heard = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        heard.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        heard.bind((_GROUP, _PORT + _PORTS_OF_DOMAIN * domain_id))
+        ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        ear.bind((_GROUP, _PORT + _PORTS_OF_DOMAIN * domain_id))
     except BaseException:
-        heard.close()
+        ear.close()
         raise
-    return heard
+    return ear
 
 
-def join_discovery(heard: socket.socket, index: int) -> None:
+def join_discovery(ear: socket.socket, index: int) -> None:
     """Let a socket hear the interface with a number of the kernel.
 
     Raises
@@ -237,7 +237,7 @@ def join_discovery(heard: socket.socket, index: int) -> None:
         If it cannot join the group: it is down, or has no address.
     """
     member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
-    heard.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+    ear.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
 
 
 def participant_in(packet: bytes) -> bytes | None:

@@ -89,8 +89,8 @@ def _read_flags(name: str) -> int:
     example under qemu-user.
     """
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            answer = fcntl.ioctl(asked, _GET_FLAGS, _REQUEST.pack(os.fsencode(name), 0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
+            answer = fcntl.ioctl(channel, _GET_FLAGS, _REQUEST.pack(os.fsencode(name), 0))
     except OSError:
         return 0
     _, flags = _REQUEST.unpack(answer)

@@ -90,8 +90,8 @@ def _priority_of(level: int) -> int:
 
 def _fields_of(event: Event) -> dict[str, str | int]:
     named = {"EVENT": event.kind, "SEVERITY": event.severity, "TOPIC": event.topic, "NODE": event.node, **event.details}
-    told = {f"ARPD_{_NO_FIELD.sub('_', name.upper())}": text for name, text in named.items() if text}
-    return {"MESSAGE_ID": MESSAGE_IDS[event.kind], "ARPD_NUMBER": event.number, **told}
+    details = {f"ARPD_{_NO_FIELD.sub('_', name.upper())}": text for name, text in named.items() if text}
+    return {"MESSAGE_ID": MESSAGE_IDS[event.kind], "ARPD_NUMBER": event.number, **details}
 
 
 log = logging.getLogger("arpd.events")

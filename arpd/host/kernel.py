@@ -37,27 +37,27 @@ def route_mtu(address: str) -> int | None:
 
     It knows the MTU of the route, and what routers on the way have answered. Nothing is sent.
     """
-    return _on_the_way(address, lambda asked: asked.getsockopt(socket.IPPROTO_IP, _IP_MTU))
+    return _of_route(address, lambda route: route.getsockopt(socket.IPPROTO_IP, _IP_MTU))
 
 
 def interface_to(address: str) -> str | None:
     """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
-    own: str | None = _on_the_way(address, lambda asked: asked.getsockname()[0])
+    own: str | None = _of_route(address, lambda route: route.getsockname()[0])
     return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
 
 
 def is_own_address(address: str) -> bool:
     """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
-    ends = _on_the_way(address, lambda asked: (asked.getsockname()[0], asked.getpeername()[0]))
+    ends = _of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
     return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
 
 
-def _on_the_way(address: str, ask: Callable[[socket.socket], T]) -> T | None:
+def _of_route(address: str, read: Callable[[socket.socket], T]) -> T | None:
     """Return what a socket with a route to the address tells, None without a route."""
     try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-            asked.connect((address, _DISCARD_PORT))
-            return ask(asked)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as route:
+            route.connect((address, _DISCARD_PORT))
+            return read(route)
     except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
         return None
 

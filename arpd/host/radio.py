@@ -34,23 +34,23 @@ def transmit_rate(interface: str) -> float:
 
     It is the rate of the fastest station, because any of them may be the peer and the bound must hold.
     """
-    return _told("GET_STATION", "bit rate", interface, _fastest)
+    return _fact("GET_STATION", "bit rate", interface, _fastest)
 
 
 def power_save(interface: str) -> bool:
     """Return whether a radio sleeps between beacons."""
-    return _told("GET_POWER_SAVE", "power save", interface, _saves_power)
+    return _fact("GET_POWER_SAVE", "power save", interface, _saves_power)
 
 
 def signal(interface: str) -> int:
     """Return the strength of a radio's access point, or of the strongest station (dBm)."""
-    return _told("GET_STATION", "signal", interface, _strongest)
+    return _fact("GET_STATION", "signal", interface, _strongest)
 
 
 def region(interface: str) -> str:
     """Return two letters of the regulatory domain in force, ``00`` = none is set."""
     radio = read_number(SYS_NET / interface / "phy80211/index")
-    return _told("GET_REG", "regulatory domain", interface, lambda answers: _region_of(answers, radio=radio))
+    return _fact("GET_REG", "regulatory domain", interface, lambda answers: _region_of(answers, radio=radio))
 
 
 def runs_network_manager() -> bool:
@@ -59,7 +59,7 @@ def runs_network_manager() -> bool:
     return unit is not None and unit.active == "active"
 
 
-def _told(command: str, what: str, interface: str, read: Callable[[Sequence[Any]], T | None]) -> T:
+def _fact(command: str, what: str, interface: str, read: Callable[[Sequence[Any]], T | None]) -> T:
     if (index := index_of(interface)) is None:
         raise NotKnownError(f"there is no interface {interface}")
     try:
@@ -104,9 +104,9 @@ def _strongest(stations: Sequence[Any]) -> int | None:
 
 
 def _saves_power(answers: Sequence[Any]) -> bool | None:
-    told = next((state for answer in answers if (state := answer.get_attr("NL80211_ATTR_PS_STATE"))), None)
+    state = next((found for answer in answers if (found := answer.get_attr("NL80211_ATTR_PS_STATE"))), None)
     # pyroute2 shows its bytes: 01:00:00:00.
-    return None if told is None else int.from_bytes(bytes.fromhex(str(told).replace(":", "")), sys.byteorder) != 0
+    return None if state is None else int.from_bytes(bytes.fromhex(str(state).replace(":", "")), sys.byteorder) != 0
 
 
 def _region_of(answers: Sequence[Any], *, radio: int | None) -> str | None:

@@ -54,20 +54,20 @@ def service_states(*names: str, ask: Callable[[Sequence[str]], str] = ask_system
     """Return the states of services by name, without ``.service``; empty where systemd does not tell."""
     found = {}
     for block in ask(["show", f"--property={_PROPERTIES}", *names]).split("\n\n"):
-        told = dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
-        if name := told.get("Id", "").removesuffix(".service"):
-            found[name] = _state_of(told)
+        properties = dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
+        if name := properties.get("Id", "").removesuffix(".service"):
+            found[name] = _state_of(properties)
     return found
 
 
-def _state_of(told: dict[str, str]) -> ServiceState:
-    code = told.get("ExecMainStatus", "")
-    has_exited = told.get("ExecMainCode") == "1"  # CLD_EXITED
+def _state_of(properties: dict[str, str]) -> ServiceState:
+    code = properties.get("ExecMainStatus", "")
+    has_exited = properties.get("ExecMainCode") == "1"  # CLD_EXITED
     return ServiceState(
-        is_installed=told.get("LoadState") not in {None, "not-found"},
-        is_enabled=told.get("UnitFileState") == "enabled",
-        active=told.get("ActiveState", ""),
-        sub=told.get("SubState", ""),
-        result=told.get("Result", ""),
+        is_installed=properties.get("LoadState") not in {None, "not-found"},
+        is_enabled=properties.get("UnitFileState") == "enabled",
+        active=properties.get("ActiveState", ""),
+        sub=properties.get("SubState", ""),
+        result=properties.get("Result", ""),
         exit_code=int(code) if has_exited and code.isdecimal() else None,
     )

@@ -9,24 +9,13 @@ import ipaddress
 import re
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import AfterValidator
 from pydantic_core import core_schema
 
 from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
-from arpd.model.quantities import (
-    parse_duration,
-    parse_rate,
-    parse_size,
-    printable,
-    spell_duration,
-    spell_rate,
-    spell_size,
-)
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from arpd.model.quantities import DURATION, RATE, SIZE, Units, printable
 
 NONE = "none"  # written where there is no value
 _HOST = re.compile(r"(?=.{1,253}\Z)[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_])?", re.ASCII)
@@ -37,28 +26,27 @@ _ADDRESS = f"an IPv4 address, a host name or {NONE}"
 class Quantity:
     """Kind of a number between two bounds that is written with its unit, because its key does not name one."""
 
-    parse: Callable[[str], float]
-    spell: Callable[[float], str]
+    units: Units
     low: str
     high: str
 
     def read(self, raw: Any) -> float:
         """Return the quantity in base units."""
-        value = self.parse(str(raw))
-        if not self.parse(self.low) <= value <= self.parse(self.high):
+        value = self.units.parse(str(raw))
+        if not self.units.parse(self.low) <= value <= self.units.parse(self.high):
             raise ValueError(f"{printable(raw)} is out of range; write {self.low}..{self.high}")
         return value
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Read before pydantic looks at the number, and write it with its unit."""
-        written = core_schema.plain_serializer_function_ser_schema(self.spell)
+        written = core_schema.plain_serializer_function_ser_schema(self.units.spell)
         return core_schema.no_info_before_validator_function(self.read, handler(source), serialization=written)
 
 
 # Between two bounds: rate("8kbit", "100gbit").
-rate = partial(Quantity, parse_rate, spell_rate)  # (bytes/s)
-size = partial(Quantity, parse_size, spell_size)  # (bytes)
-duration = partial(Quantity, parse_duration, spell_duration)  # (s)
+rate = partial(Quantity, RATE)  # (bytes/s)
+size = partial(Quantity, SIZE)  # (bytes)
+duration = partial(Quantity, DURATION)  # (s)
 
 
 @dataclass(frozen=True)
@@ -94,8 +82,14 @@ def _topic_name(raw: str) -> str:
     return raw
 
 
+def _prefix(raw: str) -> str:
+    if is_internal(f"{_topic_name(raw)}/"):
+        raise ValueError(f"'{printable(raw)}' holds arpd's own topics; write one such as /robot1")
+    return raw
+
+
 def _namespace(raw: str) -> str:
-    if is_hidden(_topic_name(raw)) or is_internal(f"{raw}/"):
+    if is_hidden(_prefix(raw)):
         raise ValueError(f"'{printable(raw)}' is a name that never crosses the link; write one such as /robot1")
     return raw
 
@@ -116,5 +110,6 @@ def address(raw: str) -> str:
 
 NamePattern = Annotated[str, AfterValidator(_name_pattern)]
 TopicName = Annotated[str, AfterValidator(_topic_name)]
+Prefix = Annotated[str, AfterValidator(_prefix)]
 Namespace = Annotated[str, AfterValidator(_namespace), OrWord(NONE, "")]
 Address = Annotated[str, AfterValidator(address)]

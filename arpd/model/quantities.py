@@ -1,7 +1,7 @@
 """Quantities as people write and read them (`20mbit`, `64MiB`, `12.5 ms`), from and to the base units of the code.
 
-``parse_*`` reads, ``spell_*`` writes what ``parse_*`` reads back exactly, ``format_*`` writes for a reader; it writes
-None as `-`, infinity as `unlimited`, NaN as `unknown`.
+RATE, SIZE and DURATION read them, and spell what reads back exactly. ``format_*`` writes for a reader: None as `-`,
+infinity as `unlimited`, NaN as `unknown`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MOST_DECIMALS = 9
 _HUGE = 1e15  # floats hold every whole number below it
 
 
-class _Units:
+class Units:
     """Units of one kind of quantity.
 
     Parameters
@@ -47,10 +47,10 @@ class _Units:
         """Read a quantity in base units, or raise ValueError with ``what is wrong; what would be right``."""
         match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
         if match is None:
-            raise ValueError(f"{_quoted(text)} is not a {self._what}; write it like {self._example}")
+            raise ValueError(f"'{printable(text)}' is not a {self._what}; write it like {self._example}")
         number, unit = match[1], match[2]
         if not unit:
-            raise ValueError(f"{_quoted(text)} has no unit; write a {self._what} like {self._example}")
+            raise ValueError(f"'{printable(text)}' has no unit; write a {self._what} like {self._example}")
         if (scale := self._read.get(self._unit_of(unit))) is None:
             raise ValueError(f"'{unit[:_LONGEST]}' is not a unit of a {self._what}; write it like {self._example}")
         return _scaled(number, scale)
@@ -89,12 +89,9 @@ _TIMES = {
     "min": Fraction(60),
     "h": Fraction(3600),
 }
-_RATE = _Units("rate", "20mbit or 125kB/s", _BITS, _PER_S, _rate_unit)  # (bytes/s)
-_SIZE = _Units("size", "64MiB or 500kB", _SIZES, _MORE_SIZES)  # (bytes)
-_DURATION = _Units("duration", "500ms or 2s", _TIMES, {"µs": _MICROSECOND, "μs": _MICROSECOND})  # (s)
-parse_rate, spell_rate = _RATE.parse, _RATE.spell
-parse_size, spell_size = _SIZE.parse, _SIZE.spell
-parse_duration, spell_duration = _DURATION.parse, _DURATION.spell
+RATE = Units("rate", "20mbit or 125kB/s", _BITS, _PER_S, _rate_unit)  # (bytes/s)
+SIZE = Units("size", "64MiB or 500kB", _SIZES, _MORE_SIZES)  # (bytes)
+DURATION = Units("duration", "500ms or 2s", _TIMES, {"µs": _MICROSECOND, "μs": _MICROSECOND})  # (s)
 
 
 def format_rate(bytes_per_second: float | None) -> str:
@@ -143,22 +140,12 @@ def format_number(value: float | None, *, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def shortened(value: float) -> float:
-    """Return a number in five digits: more than a reader needs, and short in JSON."""
-    return float(f"{value:.5g}")
-
-
 def _scaled(number: str, scale: Fraction) -> float:
     """Multiply exactly and round once, so that `1.1ms` is the float nearest to 0.0011."""
     try:
         return float(Fraction(number) * scale)
     except OverflowError:
-        raise ValueError(f"{_quoted(number)} is too large; write a smaller number") from None
-
-
-def _quoted(text: str) -> str:
-    shown = ascii(text)
-    return shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 1]}…'"
+        raise ValueError(f"'{printable(number)}' is too large; write a smaller number") from None
 
 
 def _format(value: float | None, units: Mapping[str, float]) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from arpd.model.endpoints import Overflow
-from arpd.model.kinds import NONE, Address, NamePattern, Namespace, OrWord, TopicName, duration, rate, size
+from arpd.model.kinds import NONE, Address, NamePattern, Namespace, OrWord, Prefix, TopicName, duration, rate, size
 from arpd.model.names import compile_patterns
 
 AUTO = "auto"  # for link.interface: arpd chooses
@@ -266,7 +266,7 @@ class RelaySettings(Section):
     actions: tuple[NamePattern, ...] = ()
     call_timeout_s: Annotated[float, duration("100ms", "1h")] = 10.0
     groups: tuple[TopicGroup, ...] = ()
-    prefix: TopicName = "/link"
+    prefix: Prefix = "/link"
     topics: tuple[RelayTopic, ...] = ()
 
     @property

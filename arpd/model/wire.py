@@ -53,14 +53,9 @@ def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     """
     fragments = max(1, math.ceil(payload_bytes / FRAGMENT_BYTES))
     headers = _HEADERS_BYTES + (DATA_BYTES if fragments == 1 else _DATA_FRAG_BYTES)
-    asked = acknowledgements_per_sample(rate_hz)
-    wire_bytes = payload_bytes + fragments * headers + asked * (HEARTBEAT_BYTES + ACKNACK_BYTES)
-    return wire_bytes, fragments + round(2.0 * asked)
-
-
-def acknowledgements_per_sample(rate_hz: float) -> float:
-    """Return how many heartbeats, and so acknowledgements, a sample of a topic with this rate causes."""
-    return 1.0 if rate_hz * HEARTBEAT_S <= 1.0 else 1.0 / (rate_hz * HEARTBEAT_S)
+    acknowledgements = 1.0 / max(1.0, rate_hz * HEARTBEAT_S)  # and as many heartbeats
+    wire_bytes = payload_bytes + fragments * headers + acknowledgements * (HEARTBEAT_BYTES + ACKNACK_BYTES)
+    return wire_bytes, fragments + round(2.0 * acknowledgements)
 
 
 def swap_bytes(endpoints: int) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.model.quantities import parse_rate
+from arpd.model.quantities import RATE
 
 if TYPE_CHECKING:
     from typing import Self
@@ -88,7 +88,7 @@ def _parse_step(text: str) -> RateStep:
     if not 0.0 <= start_s < math.inf:
         raise ValueError(f"step {text!r}: the time must be zero or later")
     try:
-        rate_bytes_per_second = parse_rate(rate)
+        rate_bytes_per_second = RATE.parse(rate)
     except ValueError as error:
         raise ValueError(f"step {text!r}: {error}") from error
     if not rate_bytes_per_second > 0.0:

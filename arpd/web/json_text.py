@@ -17,8 +17,6 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import to_json
 
-from arpd.model.quantities import shortened
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -43,7 +41,7 @@ def plain(value: Any, name: str = "") -> Any:
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
-        return round(value, 3) if name in {"unix_time_s", "times"} else shortened(value)
+        return round(value, 3) if name in {"unix_time_s", "times"} else float(f"{value:.5g}")
     if isinstance(value, tuple):
         return [plain(each, name) for each in value]
     if isinstance(value, Mapping):

@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from arpd.host.config.yaml_source import Fault, config_error, dotted, read_bounded, read_source
+from arpd.host.config.yaml_source import Fault, YamlSource, dotted, read_bounded
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-    from arpd.host.config.yaml_source import YamlSource
     from arpd.model.settings import HttpSettings
 
 MAX_COST = 14  # each step doubles the time of bcrypt; 14 takes seconds on a Pi
@@ -162,7 +161,7 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
     if http.web_config is None:
         return Protection()
     path = directory / http.web_config
-    source = read_source(path, minimal=_MINIMAL)
+    source = YamlSource(path, minimal=_MINIMAL)
     faults: list[Fault] = []
     document = WebDocument()
     if source.data.get("tls_server_config", ...) is None:
@@ -172,7 +171,7 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
     except ValidationError as error:
         faults += (_reworded(details, source) for details in error.errors(include_url=False, include_input=False))
     if faults:
-        raise config_error(path, faults)
+        raise source.error(faults)
     tls = document.tls_server_config
     files = (path, tls.cert_file, tls.key_file, tls.client_ca_file) if tls else (path,)
     return Protection(

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from arpd.host.config.keys import SETTINGS, keys_at, nearest
 from arpd.host.config.rules import broken_rules
-from arpd.host.config.yaml_source import Fault, config_error, dotted, read_source
+from arpd.host.config.yaml_source import Fault, YamlSource, dotted
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
-    from arpd.host.config.yaml_source import Location, YamlSource
+    from arpd.host.config.yaml_source import Location
     from arpd.model.settings import Settings
 
 
@@ -40,7 +40,7 @@ def load_settings(
     ConfigError
         With every fault of the file, in its order.
     """
-    source = read_source(path)
+    source = YamlSource(path)
     try:
         settings = SETTINGS.validate_python(source.data)
         # An entry of `topics` has the defaults of the file for what it leaves out, without the floor.
@@ -48,11 +48,10 @@ def load_settings(
         topics = [shared | topic for topic in source.data.get("topics", ())]
         settings = SETTINGS.validate_python(source.data | {"topics": topics})
     except ValidationError as error:
-        faults = [_reworded(each, source) for each in error.errors(include_url=False)]
-        raise config_error(path, faults) from None
+        raise source.error(_reworded(each, source) for each in error.errors(include_url=False)) from None
     known = interfaces() if interfaces else None
     if broken := list(broken_rules(settings, source, interfaces=known, local_domain=local_domain)):
-        raise config_error(path, broken)
+        raise source.error(broken)
     return settings
 
 
@@ -77,12 +76,16 @@ def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
             return Fault(source.keys[location], dotted(location), f"unknown key; {nearest(location)}")
         case "missing":
             text = f"is missing; add `{location[-1]}:`"
-        case "value_error":
-            text = str(details["ctx"]["error"])
         case "tuple_type":
             text = "is not a list; write a list, or [] for none"
+        case "too_short":
+            text = f"has too few items; give it {details['ctx']['min_length']} or more"
         case "dataclass_type":
             text = f"is not a mapping; give it keys ({', '.join(keys_at(location))}) or leave it out"
+        case _ if details["input"] is None:
+            text = "has no value; write one, or leave the key out"
+        case "value_error":
+            text = str(details["ctx"]["error"])
         case _:
             shown = printable(str(details["input"]))
             text = f"{shown} does not fit; {details['msg'].replace('Input', 'it').replace('String', 'it')}"

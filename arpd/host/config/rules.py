@@ -34,17 +34,17 @@ def broken_rules(
         existing = ", ".join(sorted(interfaces)) or "none"
         wrong = f"'{name}' does not exist on this host; write auto or one of {existing}"
         yield source.fault(("link", "interface"), wrong)
-    names = [*_names(("topics",), settings.topics), *_names(("relay", "topics"), relay.topics)]
+    named, carried = _names(("topics",), settings.topics), _names(("relay", "topics"), relay.topics)
     yield from _unordered(settings, source)
-    yield from _repeated(source, [each for each in names if each[0][0] == "topics"])
-    yield from _repeated(source, [each for each in names if each[0][0] == "relay"])
+    yield from _repeated(source, named)
+    yield from _repeated(source, carried)
     yield from _mixed_groups(source, relay.groups)
     for index, topic in enumerate(settings.topics):
         for key in ("payload", "source_rate_hz"):
             if topic.is_pattern and (place := ("topics", index, key)) in source.values:
                 yield source.fault(place, "belongs to one topic; name it without stars, or remove this key")
     if relay.link_domain is None:
-        yield from _bad_relayed_names(source, relay)
+        yield from _bad_relayed_names(source, relay.prefix, carried)
         yield from _unused_keys(source, relay)
         return
     if relay.link_domain == local_domain:
@@ -55,7 +55,7 @@ def broken_rules(
         yield source.fault(("relay", "link_domain"), wrong)
     # Nothing would read the settings of a topic that crosses under the name of its group.
     group_of = {member: group.name for group in relay.groups for member in group.topics if member != group.name}
-    for location, name in names:
+    for location, name in named + carried:
         if name in group_of:
             yield source.fault(location, f"'{name}' is in group {group_of[name]}; set this for the group")
 
@@ -95,10 +95,9 @@ def _mixed_groups(source: YamlSource, groups: Sequence[TopicGroup]) -> Iterator[
     yield from _repeated(source, names)
 
 
-def _bad_relayed_names(source: YamlSource, relay: RelaySettings) -> Iterator[Fault]:
+def _bad_relayed_names(source: YamlSource, prefix: str, names: list[tuple[Location, str]]) -> Iterator[Fault]:
     """Yield names that are too long with the prefix, and names under it, which would become ``/link/link/…``."""
-    prefix = relay.prefix
-    for location, name in _names(("relay", "topics"), relay.topics):
+    for location, name in names:
         if len(prefix + name) > LONGEST_NAME:
             wrong = f"with its prefix is {len(prefix + name)} characters long; ROS allows {LONGEST_NAME}"
             yield source.fault(location, wrong)

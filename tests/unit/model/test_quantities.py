@@ -9,70 +9,67 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from arpd.model.quantities import (
+    DURATION,
+    RATE,
+    SIZE,
     format_duration,
     format_number,
     format_period,
     format_rate,
     format_share,
     format_size,
-    parse_duration,
-    parse_rate,
-    parse_size,
-    spell_duration,
-    spell_rate,
-    spell_size,
 )
 
 FINITE = st.floats(min_value=0, max_value=1e15)
 
 
 @pytest.mark.parametrize(
-    ("parse", "text", "value"),
+    ("units", "text", "value"),
     [
-        (parse_rate, "8bit", 1.0),
-        (parse_rate, "500 KBit", 62_500.0),
-        (parse_rate, "5.00 Mbit/s", 625_000.0),
-        (parse_rate, "125kB/s", 125_000.0),
-        (parse_rate, "1MiB/s", 2.0**20),
-        (parse_size, "64MiB", 64 * 2**20),
-        (parse_size, "64MB", 64e6),
-        (parse_size, "500KB", 5e5),
-        (parse_duration, "1.1ms", 0.0011),
-        (parse_duration, "5µs", 5e-6),
-        (parse_duration, "5μs", 5e-6),
-        (parse_duration, "2min", 120.0),
+        (RATE, "8bit", 1.0),
+        (RATE, "500 KBit", 62_500.0),
+        (RATE, "5.00 Mbit/s", 625_000.0),
+        (RATE, "125kB/s", 125_000.0),
+        (RATE, "1MiB/s", 2.0**20),
+        (SIZE, "64MiB", 64 * 2**20),
+        (SIZE, "64MB", 64e6),
+        (SIZE, "500KB", 5e5),
+        (DURATION, "1.1ms", 0.0011),
+        (DURATION, "5µs", 5e-6),
+        (DURATION, "5μs", 5e-6),
+        (DURATION, "2min", 120.0),
     ],
 )
-def test_a_quantity_is_the_nearest_float_in_base_units(parse, text, value):
+def test_a_quantity_is_the_nearest_float_in_base_units(units, text, value):
     """Bit units are decimal and any case, bytes decimal or binary as written; nothing is lost before the float."""
-    assert parse(text) == value
+    assert units.parse(text) == value
 
 
 @pytest.mark.parametrize(
-    ("parse", "text", "message"),
+    ("units", "text", "message"),
     [
-        (parse_rate, "5", "'5' has no unit; write a rate like 20mbit"),
-        (parse_rate, "5mbps", "means bits to some and bytes to tc"),
-        (parse_rate, "5kB", "'kB' is not a unit of a rate"),
-        (parse_rate, "1e999gbit", "too large"),
-        (parse_size, "64Mi", "'Mi' is not a unit of a size"),
-        (parse_duration, "2 fortnights", "'fortnights' is not a unit of a duration"),
-        (parse_duration, "٣s", "is not a duration"),
+        (RATE, "5", "'5' has no unit; write a rate like 20mbit"),
+        (RATE, "5mbps", "means bits to some and bytes to tc"),
+        (RATE, "5kB", "'kB' is not a unit of a rate"),
+        (RATE, "1e999gbit", "too large"),
+        (SIZE, "64Mi", "'Mi' is not a unit of a size"),
+        (DURATION, "2 fortnights", "'fortnights' is not a unit of a duration"),
+        (DURATION, "٣s", "is not a duration"),
     ],
 )
-def test_what_is_no_quantity_is_refused_with_the_way_out(parse, text, message):
+def test_what_is_no_quantity_is_refused_with_the_way_out(units, text, message):
     """The message quotes what was written and shows what would be right."""
     with pytest.raises(ValueError, match="; write ") as refused:
-        parse(text)
+        units.parse(text)
     assert message in str(refused.value)
 
 
 @given(FINITE)
 def test_a_spelled_quantity_reads_back_exactly(value):
     """Spelling loses nothing."""
-    assert parse_rate(spell_rate(value)) == value
-    assert parse_size(spell_size(value)) == value
-    assert parse_duration(spell_duration(value)) == value
+    assert RATE.parse(RATE.spell(value)) == value
+    assert SIZE.parse(SIZE.spell(value)) == value
+    assert DURATION.parse(DURATION.spell(value)) == value
 
 
 @pytest.mark.parametrize(
@@ -101,14 +98,14 @@ LEAST = 1e-9  # of the smallest unit: more decimals are not written
 @example(0.125)
 def test_a_formatted_quantity_reads_back_to_three_digits(value):
     """What is printed may be pasted into the configuration."""
-    assert parse_rate(format_rate(value)) == pytest.approx(value, rel=0.006, abs=LEAST / 8)
-    assert parse_size(format_size(value)) == pytest.approx(value, rel=0.006, abs=LEAST)
-    assert parse_duration(format_duration(value)) == pytest.approx(value, rel=0.006, abs=LEAST * 1e-9)
+    assert RATE.parse(format_rate(value)) == pytest.approx(value, rel=0.006, abs=LEAST / 8)
+    assert SIZE.parse(format_size(value)) == pytest.approx(value, rel=0.006, abs=LEAST)
+    assert DURATION.parse(format_duration(value)) == pytest.approx(value, rel=0.006, abs=LEAST * 1e-9)
 
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_quantity_or_refused(text):
     """No text does more than raise ValueError."""
-    for parse in (parse_rate, parse_size, parse_duration):
+    for units in (RATE, SIZE, DURATION):
         with contextlib.suppress(ValueError):
-            assert parse(text) >= 0
+            assert units.parse(text) >= 0

@@ -177,6 +177,8 @@ ONE_FAULT = [
     ("http: {port: -1}", "1:14: http.port", "-1 does not fit; it should be greater than or equal to 0"),
     ("governor: {hold: 2}", "1:18: governor.hold", "'2' has no unit"),
     ("governor: {hold: 2h}", "1:18: governor.hold", "2h is out of range; write 0s..1h"),
+    ("link: {capacity: }", "1:17: link.capacity", "has no value; write one, or leave the key out"),
+    ("on_stop:", "1:9: on_stop", "has no value"),
     ("link: {capacity: 5parsec}", "1:18: link.capacity", "'parsec' is not a unit"),
     ("on_stop: explode", "1:10: on_stop", "explode does not fit; it should be 'restore' or 'keep'"),
     ('on_stop: "\\uD800"', "1:10: on_stop", "\\ud800 does not fit; it should be a valid string"),
@@ -205,6 +207,7 @@ ONE_FAULT = [
     ("defaults: {min_depth: 9, max_depth: 3}", "1:23: defaults.min_depth", "min_depth 9 is above max_depth 3"),
     ("topics: [{name: /a/**, payload: 1kB}]", "1:33: topics[0].payload", "belongs to one topic; name it without stars"),
     # the relay
+    ("relay: {prefix: /arpd}", "1:17: relay.prefix", "holds arpd's own topics; write one such as /robot1"),
     ("relay: {topics: [{name: /link/scan}]}", "1:25: relay.topics[0].name", "write /scan"),
     (
         "relay: {prefix: /a/b, topics: [{name: /a/bc}, {name: /a/b/c/d}]}",
@@ -216,7 +219,8 @@ ONE_FAULT = [
     ("relay: {link_domain: 77, robot: 10.0.0.256}", "1:33: relay.robot", "not an address"),
     ("relay: {link_domain: 77, base: fd00::1}", "1:32: relay.base", "no IPv4 address, and arpd's link is IPv4"),
     (ENDS + "namespace: r1}", "1:47: relay.namespace", "write /r1"),
-    (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "never crosses the link"),
+    (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "holds arpd's own topics"),
+    (ENDS + "namespace: /_r1}", "1:47: relay.namespace", "never crosses the link"),
     (ENDS + "deny: /x}", "1:42: relay.deny", "is not a list"),
     (ENDS + "to_base: [/a, /b**]}", "1:50: relay.to_base[1]", "'/b**' is not an absolute ROS name or a pattern"),
     (
@@ -226,7 +230,7 @@ ONE_FAULT = [
     ),
     # groups
     (ENDS + "groups: [{topics: [/a, /b, /right/**]}]}", "1:63: relay.groups[0].topics[2]", "is a pattern"),
-    (ENDS + "groups: [{topics: [/left/image]}]}", "1:54: relay.groups[0].topics", "at least 2 items"),
+    (ENDS + "groups: [{topics: [/left/image]}]}", "1:54: relay.groups[0].topics", "has too few items; give it 2"),
     (
         "relay:\n  link_domain: 77\n  robot: a\n  groups:\n  - topics: [/a, /b]\n  - topics: [/c, /a]\n",
         "6:18: relay.groups[1].topics[1]",
