@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import shtab
 from argparse_manpage.manpage import Manpage
 
-from arpd.cli.main import _parser
+from arpd.cli.main import _parser, is_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,11 +74,8 @@ def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.A
 
 def _troff(text: str) -> str:
     """Return prose to be filled, and tables, equations and examples line by line."""
-    paragraphs = []
-    for paragraph in re.split(r"\n\s*\n", text.strip("\n")):
-        is_table = re.search(r"^ |\S {2,}\S", paragraph, re.MULTILINE)
-        paragraphs.append(f".PP\n.nf\n{paragraph}\n.fi" if is_table else f".PP\n{paragraph}")
-    return "\n".join(paragraphs)
+    paragraphs = re.split(r"\n\s*\n", text.strip("\n"))
+    return "\n".join(f".PP\n.nf\n{each}\n.fi" if is_table(each) else f".PP\n{each}" for each in paragraphs)
 
 
 def _as_typed(line: str) -> str:

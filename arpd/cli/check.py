@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import list_interfaces
 from arpd.model.errors import ConfigError
 from arpd.model.quantities import format_rate
-from arpd.model.settings import Settings
+from arpd.model.settings import Settings, TopicSettings
 from arpd.solve.topics import Traffic, rows_of_traffic
 from arpd.web.web_config import load_protection
 
@@ -60,7 +61,8 @@ def _check(options: argparse.Namespace) -> int:
         return 0
     for warning in warnings:
         print(f"{options.file}: {warning}", file=sys.stderr)
-    differing = changes(Settings(), settings)
+    defaults = replace(Settings(), topics=tuple(TopicSettings(name=topic.name) for topic in settings.topics))
+    differing = changes(defaults, settings)
     print(f"OK (topics: {len(settings.topics)}, keys that differ from the default: {len(differing)})")
     for key, change in differing.items():
         print(f"  {key}: {change}")

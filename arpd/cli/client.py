@@ -163,7 +163,7 @@ def read_status(document: dict[str, Any], *, source: str) -> Status | None:
     ArpdError
         If it is of another version of arpd.
     """
-    if "link" not in document and document.get("ready") is False:
+    if document.get("ready") is False:
         return None
     try:
         return read(Status, _shown(document))
@@ -210,8 +210,9 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
     elif isinstance(error, (OSError, HTTPTimeoutError)) and not isinstance(error, ConnectionResetError):
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
+        reason = "timed out" if is_late else getattr(error, "strerror", None) or error
         hint = "is it running (systemctl status arpd), and is http.port the same?"
-        why = f"no daemon answers at {url} ({'timed out' if is_late else error}); {hint}"
+        why = f"no daemon answers at {url} ({reason}); {hint}"
         return NoAnswerError(why, url=url, is_late=is_late)
     else:
         hint = "" if url.lower().startswith("https:") else "; if the daemon has TLS, write https:// in --url"

@@ -102,8 +102,8 @@ class Frame:
         at, url = "", f", {printable(self.url, longest=80)}" if self.url else ""
         if status := self.status:
             at = wall_clock(status.unix_time_s)
-            age = f"{format_duration(status.age_s)} ago" if math.isfinite(status.age_s) else "age unknown"
-            yield Text(f"arpd {status.version} on {status.interface or 'no link'}, {at} ({age}){url}", style="bold")
+            when = f"{at} ({format_duration(status.age_s)} ago)"
+            yield Text(f"arpd {status.version} on {status.interface or 'no link'}, {when}{url}", style="bold")
         else:
             yield Text(f"arpd{url}", style="bold")
         said = [
@@ -212,15 +212,15 @@ def _topic_table(topics: Sequence[Topic], width: int) -> Table:
     is_shared = len({topic.topic for topic in topics}) < len(topics)
     columns: list[tuple[str, int, Callable[[Topic], str]]] = [
         ("TOPIC", 0, lambda topic: topic.topic),
-        ("NODE", 1, lambda topic: topic.node if is_shared else ""),
+        ("NODE", 2, lambda topic: topic.node if is_shared else ""),
         ("ALLOWED", 0, _allowed),
         ("SENT", 0, lambda topic: format_number(topic.confirmed.published_rate_hz)),
-        ("SOURCE", 3, lambda topic: format_number(topic.confirmed.source_rate_hz)),
-        ("DEPTH", 4, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
-        ("DEADLINE", 5, lambda topic: _moving(topic, lambda qos: format_period(qos.deadline_ns))),
+        ("SOURCE", 4, lambda topic: format_number(topic.confirmed.source_rate_hz)),
+        ("DEPTH", 5, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
+        ("DEADLINE", 6, lambda topic: _moving(topic, lambda qos: format_period(qos.deadline_ns))),
         ("WITHHELD", 1, _withheld),
-        ("CAUSES", 6, _causes),
-        ("LATE", 2, lambda topic: str(topic.confirmed.deadlines_missed or "")),
+        ("CAUSES", 7, _causes),
+        ("LATE", 3, lambda topic: str(topic.confirmed.deadlines_missed or "")),
         ("BOUND BY", 0, _bound_by),
     ]
     filled = [(title, rank, [cell(topic) for topic in topics]) for title, rank, cell in columns]

@@ -15,6 +15,7 @@ from arpd.host.interface import index_of, likeliest_interface, list_interfaces
 from arpd.host.kernel import interface_to
 from arpd.host.services import service_states
 from arpd.model.errors import ArpdError, ConfigError, NoAnswerError, NotKnownError, UsageError
+from arpd.model.quantities import printable
 from arpd.model.settings import AUTO, Settings
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ class Here:
         self.is_far = options.far or self._is_remote or (bool(used) and used <= _UNITS_OF_BASE)
         self.settings, self.faults = self._configuration()
         self.told = self._ask()
+        if options.interface and index_of(options.interface) is None:
+            there = ", ".join(sorted(list_interfaces() or ()))
+            raise UsageError(f"--interface {printable(options.interface)}: there is none here; write one of {there}")
         relay = self.settings.relay
         self.other_end = (options.url.host if self._is_remote else relay.robot) if self.is_far else relay.base
         self.found_interface: str = options.interface or self._find_interface()

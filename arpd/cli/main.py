@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import os
+import re
 import sys
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from arpd import __version__
@@ -19,7 +23,9 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
-_COMMANDS = {
+# What stands for a character that a terminal lacks; as wide, for tables.
+_PLAIN = str.maketrans("…→≤≥−·µ±▁▂▃▄▅▆▇█", "~><>-.u~_.:-=+*#")
+COMMANDS = {
     "run": ("processes", "run the daemon on the robot computer"),
     "relay": ("processes", "carry topics of nodes whose code is not yours"),
     "peer": ("processes", "report what arrives at the other end of the link"),
@@ -40,12 +46,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : command line without the program's name, by default the process's own
     """
+    _write_plainly()
     try:
         arguments = sys.argv[1:] if arguments is None else arguments
         command = next((word for word in arguments if not word.startswith("-")), "")
         options = _parser(command).parse_args(arguments)
         code: int = options.handler(options)
-        sys.stdout.flush()
+        print(end="", flush=True)
     except ConfigError as error:
         # Without a prefix, so that an editor finds the place.
         for fault in error.faults:
@@ -72,6 +79,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     return code
+
+
+def _write_plainly() -> None:
+    """Let no stream refuse a character that its encoding lacks."""
+
+    def plain(error: UnicodeError) -> tuple[str, int]:
+        assert isinstance(error, UnicodeEncodeError)
+        lacking = error.object[error.start : error.end]
+        return lacking.translate(_PLAIN).encode("ascii", "replace").decode(), error.end
+
+    codecs.register_error("plain", plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # None where it is closed
+            stream.reconfigure(errors="plain")
 
 
 def run_executable() -> int:
@@ -109,27 +130,39 @@ def _incomplete(package: str, error: ImportError) -> str:
     return f"{package} cannot be imported by {sys.executable} ({' '.join(str(error).split())}); {way_out}"
 
 
+def is_table(paragraph: str) -> bool:
+    """Return whether a paragraph of a command's text is no prose, but a table, an equation or examples."""
+    return re.search(r"^ |\S {2,}\S", paragraph, re.MULTILINE) is not None
+
+
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Fills prose to the width of the terminal, and leaves the rest line by line."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        del indent
+        paragraphs = text.strip("\n").split("\n\n")
+        return "\n\n".join(each if is_table(each) else fill(each, width, break_on_hyphens=False) for each in paragraphs)
+
+
 def _parser(command: str | None = None) -> argparse.ArgumentParser:
     """Return the parser; the module of a command is imported for that command alone, where one is given."""
     parser = argparse.ArgumentParser(
         prog="arpd",
         description="Keeps a ROS 2 robot's wireless traffic inside what the link can carry, live.",
         epilog="""\
-on the robot:     arpd run          the daemon: measures the link, plans rate, DEADLINE and DEPTH, applies them
-                  arpd relay        carries topics of nodes whose code is not yours (optional)
-on the other end: arpd peer         reports what arrives, so that the daemon knows the link
-                  arpd relay --far  the far end of a relay with two ends (optional)
+`arpd run`, the daemon, runs on the robot, beside `arpd relay` if the code of nodes is not yours. `arpd peer` runs at
+the other end of the link, so that the daemon knows the link, beside `arpd relay --far` if the relay has two ends.
 
 `arpd COMMAND --help` explains each, with examples.
 
 exit codes: 0 done, 1 failed, 2 wrong usage, 3 no daemon answers, 69 ROS or a package is not there, 78 the configuration
 is wrong""",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_HelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"arpd {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, (module, summary) in _COMMANDS.items():
-        added = commands.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, (module, summary) in COMMANDS.items():
+        added = commands.add_parser(name, help=summary, formatter_class=_HelpFormatter)
         if command in {None, name}:
             made: Command = getattr(import_module(f"arpd.cli.{module}"), name.upper())
             about, examples, rest = made.text.partition("\nexamples:\n")

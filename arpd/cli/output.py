@@ -25,8 +25,7 @@ _LEAST_NAME, _LEAST_LAST = 24, 8  # of the first and the last column, while anot
 
 
 def width_of_output() -> int:
-    """Return the width of standard output, which may lack characters: a pipe's has no end unless COLUMNS gives one."""
-    sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+    """Return the width of standard output: a pipe's has no end unless COLUMNS gives one."""
     return shutil.get_terminal_size((WITHOUT_END, WITHOUT_END)).columns
 
 
@@ -69,8 +68,9 @@ def fitted(
 ) -> Table:
     """Lay rows out in columns that fit a width.
 
-    Where they are too wide, columns are dropped, the highest rank first, once the first column has 24 characters and
-    the last one 8. A first cell that is too long loses its front (the end tells topics apart), a last one its end.
+    Where they are too wide, columns are dropped, those of the highest rank first, once the first column has 24
+    characters and the last one 8. A first cell that is too long loses its front (the end tells topics apart), a last
+    one its end.
 
     Parameters
     ----------
@@ -84,10 +84,9 @@ def fitted(
     widths = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in zip(*rows, strict=True)]
     least = [min(widths[0], _LEAST_NAME), *widths[1:-1], min(widths[-1], _LEAST_LAST)]
     kept = list(range(len(widths)))
-    while (
-        any(ranks[column] for column in kept if ranks) and sum(least[column] + _GAP for column in kept) > width + _GAP
-    ):
-        kept.remove(max(kept, key=ranks.__getitem__))
+    for rank in sorted({*ranks} - {0}, reverse=True):
+        if sum(least[column] + _GAP for column in kept) > width + _GAP:
+            kept = [column for column in kept if ranks[column] != rank]
     room = max(least[0], width - sum(least[column] + _GAP for column in kept[1:]))
     table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold underline")
     for column in kept:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import argparse
+import re
 
 from arpd.cli.options import Command, add_config, config_of
-
-if TYPE_CHECKING:
-    import argparse
+from arpd.model.quantities import printable
 
 _LEVELS = ("debug", "info", "warning", "error")
 _RUN = """\
@@ -25,6 +24,7 @@ Carry topics through publishers that arpd can tune. Any installed message type; 
 Two ends (relay.link_domain in the configuration): this process on the robot and `arpd relay --far` on the base computer
 carry topics under their own names, in both directions, while somebody on the other side reads them, and services and
 actions.
+
 One end (without it): subscribe on this host to the topics under relay.topics and publish them again, unchanged, as
 relay.prefix + name. Readers across the link subscribe to the new name.
 
@@ -62,8 +62,15 @@ def _add_relay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--far", action="store_true", help="be the far end of a relay with two ends, on the base computer"
     )
-    parser.add_argument("--node-name", metavar="NAME", help="name of the ROS node (default arpd_relay_HOST)")
+    about = "name of the ROS node (default arpd_relay_HOST)"
+    parser.add_argument("--node-name", type=_node_name, metavar="NAME", help=about)
     _add_log_level(parser)
+
+
+def _node_name(word: str) -> str:
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{,254}", word):
+        raise argparse.ArgumentTypeError(f"{printable(word)} is no name of a ROS node; write letters, digits and _")
+    return word
 
 
 def _relay(options: argparse.Namespace) -> int:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Mapping, Sequence
 
+    from rich.table import Table
+
     from arpd.daemon.scenario import ScenarioResult
     from arpd.daemon.summary import Summary
     from arpd.model.settings import Settings
@@ -147,7 +149,7 @@ def _simulate(options: argparse.Namespace) -> int:
         "P99, MS": lambda topic: _times(1e3, topic.latency_p99_s),
         "AGE P99": lambda topic: _times(1e3, topic.age_p99_s),
     }
-    show("", fitted(_topics(robot, ways, rates)), "", fitted(_topics(robot, ways, delays)), "")
+    show("", _topics(robot, ways, rates), "", _topics(robot, ways, delays), "")
     _show_events(ways[Way.ARPD].moments)
     return 0
 
@@ -173,8 +175,8 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
     for name in options.actuation:
         if name not in known:
             raise UsageError(
-                f"--actuation {name}: {config or 'no --config'} does not say what it publishes; "
-                "give it payload and source_rate_hz under topics"
+                f"--actuation {printable(name)}: no payload and source_rate_hz of it stand in "
+                f"{config or 'a configuration; give --config'}"
             )
     return config, settings, configured
 
@@ -224,15 +226,15 @@ def _overall(summaries: Mapping[Way, Summary]) -> Sequence[Sequence[str]]:
     ]
 
 
-def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Sequence[Sequence[str]]:
-    """Return figures per topic over the whole run, three ways each."""
+def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Table:
+    """Return figures per topic over the whole run, three ways each; a narrow terminal shows arpd's alone."""
     titles = [f"{figure if way is Way.ARPD else ''}\n{way}" for figure in figures for way in ways]
     rows = [["TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles]]
     for topic, *results in zip(robot, *(way.topics for way in ways.values()), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""
         cells = (format_number(cell(result)) for cell in figures.values() for result in results)
         rows.append([printable(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells])
-    return rows
+    return fitted(rows, ranks=[0, len(ways), *(rank for _ in figures for rank in range(len(ways)))])
 
 
 def _show_events(moments: Sequence[Moment]) -> None:

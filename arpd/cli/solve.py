@@ -60,9 +60,11 @@ what a rate or depth is bound by:
   link             a faster link would give it more; weight decides which topic gets how much
   minimum          min_rate_hz or min_depth keeps it up
   latency budget   a deeper history would only be older
-  max depth        max_depth            memory    program.memory_budget"""
+  max depth        max_depth
+  memory           program.memory_budget"""
 _PAPER, _OWN = ("rmax", "sensing", "actuation"), ("config", "capacity")
 _SUMMED = ("desired_rate_hz", "rate_hz")
+_RANKS = (0, 6, 7, 4, 5, 0, 3, 0, 0, 1, 2)  # of the columns: how soon a narrow terminal loses each
 _LIMITS: Document = {"rmin": 1.0, "dmin": 1, "dmax": 5000}
 _BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
 
@@ -224,7 +226,8 @@ def _show(plan: Document) -> None:
     ]
     total = [f"total of {len(rows)}", "", "", "", *(_four(sum(row[key] for row in rows)) for key in _SUMMED)]
     total += [f"{100 * plan['share']:.1f}", "", "", "", ""]
-    show(*map(Text, head), "", fitted([titles, *map(_cells, rows), total], words=titles[-2:]), "")
+    table = fitted([titles, *map(_cells, rows), total], ranks=_RANKS, words=titles[-2:])
+    show(*map(Text, head), "", table, "")
 
 
 def _cells(row: Document) -> Sequence[str]:

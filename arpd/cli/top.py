@@ -52,7 +52,6 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _top(options: argparse.Namespace) -> int:
     if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
         raise UsageError("arpd top needs a terminal; arpd status prints the same once")
-    sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
     with connect(options) as daemon:
         seen = Frame(status=daemon.status(), history=daemon.history(), url=daemon.url)
         answered_s = history_s = time.monotonic()

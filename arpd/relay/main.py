@@ -96,8 +96,9 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
             check_deaf_to_itself(node)
             with closing(End(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end:
                 serve(end.tick, _TICK_S, end.threads)
-    elif is_far:
-        log.info(reason := f"nothing to do: relay.link_domain is not set in {config_path}")
+    elif is_far or not relay.topics:
+        lacking = "relay.link_domain is not" if is_far else "neither relay.link_domain nor relay.topics is"
+        log.info(reason := f"nothing to do: {lacking} set in {config_path}")
         notifier.status(reason)
         serve(lambda: None, _IDLE_S)
     else:

@@ -96,10 +96,11 @@ def measured(link: str, course: Course, way: str, seconds: float) -> dict[str, A
         "faults": account.faults(),
     }
     change_s, (rate, _) = course[1][0] if len(course) > 1 else 0.0, at(course, CALM_S)
+    after = [(look["at_s"] - change_s, look) for look in looks if look["at_s"] >= change_s and "estimate" in look]
     if link == "step-down":
-        found["budget_s"] = settled_s(looks, change_s, lambda look: look["budget"] <= 1.1 * rate)
+        found["budget_s"] = settled_s((at_s, look["budget"] <= 1.1 * rate) for at_s, look in after)
     if link == "step-up":
-        found["budget_s"] = settled_s(looks, change_s, lambda look: look["estimate"] >= 0.8 * rate)
+        found["budget_s"] = settled_s((at_s, look["estimate"] >= 0.8 * rate) for at_s, look in after)
     return found
 
 

@@ -94,24 +94,6 @@ class Child:
         self._answers.put(None)
 
 
-def commands() -> queue.SimpleQueue[dict[str, Any] | None]:
-    """Return the queue of the parent's commands, in the child; None means that the parent is gone."""
-    orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-
-    def listen() -> None:
-        for line in sys.stdin:
-            orders.put(json.loads(line))
-        orders.put(None)
-
-    threading.Thread(target=listen, daemon=True).start()
-    return orders
-
-
-def answer(**fact: Any) -> None:
-    """Answer the parent, in the child."""
-    print(json.dumps(fact), flush=True)
-
-
 def serve(turn: Callable[[], float], reply: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
     """Live as a child until the parent is gone.
 
@@ -120,8 +102,15 @@ def serve(turn: Callable[[], float], reply: Callable[[dict[str, Any]], dict[str,
     turn : does what is due; returns how long the next turn may wait for a command (s)
     reply : does what a command says; returns the answer
     """
-    orders = commands()
-    answer(open=True)
+    orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            orders.put(json.loads(line))
+        orders.put(None)  # the parent is gone
+
+    threading.Thread(target=listen, daemon=True).start()
+    print(json.dumps({"open": True}), flush=True)
     while True:
         wait_s = turn()
         try:
@@ -130,7 +119,7 @@ def serve(turn: Callable[[], float], reply: Callable[[dict[str, Any]], dict[str,
             continue
         if order is None:
             return
-        answer(**reply(order))
+        print(json.dumps(reply(order)), flush=True)
 
 
 def becomes_true(condition: Callable[[], bool], timeout_s: float, *, poll_s: float = 0.05) -> bool:
@@ -141,12 +130,6 @@ def becomes_true(condition: Callable[[], bool], timeout_s: float, *, poll_s: flo
             return False
         time.sleep(poll_s)
     return True
-
-
-def sample_of(number: int, payload_bytes: int) -> bytes:
-    """Serialize a std_msgs/String of ``payload_bytes`` characters that begins with its number."""
-    length = (payload_bytes + 1).to_bytes(4, "little")
-    return b"\x00\x01\x00\x00" + length + b"%010d" % number + b"x" * (payload_bytes - 10) + b"\x00"
 
 
 @contextlib.contextmanager

@@ -15,10 +15,11 @@ import psutil
 from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
 
 _MOST_FOREIGN = 0.05  # of the machine's processors
+_HOLDS_S = 1.0 - 1e-9
 
 
 def conditions() -> dict[str, Any]:
@@ -59,15 +60,13 @@ def _own_s() -> float:
     return total
 
 
-def settled_s(looks: Sequence[dict[str, Any]], since_s: float, is_so: Callable[[dict[str, Any]], bool]) -> float | None:
-    """Return how long after a time something begins to hold for a second (s); None = never."""
+def settled_s(looks: Iterable[tuple[float, bool]]) -> float | None:
+    """Return when something begins to hold for a second (s); None = never."""
     began_s: float | None = None
-    for look in looks:
-        if look["at_s"] < since_s or "estimate" not in look:
-            continue
-        began_s = (look["at_s"] if began_s is None else began_s) if is_so(look) else None
-        if began_s is not None and look["at_s"] - began_s >= 1.0:
-            return began_s - since_s
+    for at_s, holds in looks:
+        began_s = (at_s if began_s is None else began_s) if holds else None
+        if began_s is not None and at_s - began_s >= _HOLDS_S:
+            return began_s
     return None
 
 

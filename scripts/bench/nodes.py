@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scripts.bench.child import answer, commands, serve
+from scripts.bench.child import serve
 from scripts.bench.samples import BASE, Template, Topic, class_of, sources_of
 from scripts.bench.sides import BARE, Service, Way
 
@@ -362,10 +362,11 @@ def crowd(first: int, count: int) -> None:
         node = rclpy.create_node(f"{CROWD.strip('/')}{number}", context=context)
         kinds = (("state", String), ("value", Float64)) if count else ()
         kept.append((node, [node.create_publisher(kind, f"{CROWD}{number}/{name}", 10) for name, kind in kinds]))
-    answer(open=True)
-    orders = commands()
-    while orders.get() is not None:
-        answer(topics=sum(name.startswith(CROWD) for name, _ in kept[0][0].get_topic_names_and_types()))
+
+    def known(_order: dict[str, Any]) -> dict[str, Any]:
+        return {"topics": sum(name.startswith(CROWD) for name, _ in kept[0][0].get_topic_names_and_types())}
+
+    serve(lambda: 60.0, known)
 
 
 def main() -> None:

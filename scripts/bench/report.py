@@ -19,6 +19,7 @@ from typing import Any
 REPO = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).parent / "results"
 _WIDTH = 130
+_MOST_ROWS = 22  # of a table that is not folded
 _BLOCK = re.compile(r"(?P<begin><!-- (?P<name>[\w-]+):begin -->\n).*?(?P<end><!-- (?P=name):end -->\n)", re.DOTALL)
 #: Head of a column, and the value of a row: its key, or a function; a key alone is its own head.
 Column = str | tuple[str, str | Callable[[Any], Any]]
@@ -109,30 +110,46 @@ class Summary:
         )
 
     def with_part(self, part: Summary, *, names: int) -> Summary:
-        """Return it with the rows of another that measured a part again; so many cells of a row name it."""
+        """Return it with the rows of another that measured a part again; so many cells of a row name it.
+
+        Conditions of which no row is left go.
+        """
         rows = {tuple(row[:names]): row for each in (self, part) for row in each.tables[0].rows}
         first = replace(part.tables[0], rows=list(rows.values()))
-        conditions = [each for each in self.conditions if each.get("of") != part.conditions[0].get("of")]
+        noted = self.conditions + part.conditions
+
+        def last_of(row: str) -> int:
+            return max(at for at, each in enumerate(noted) if re.search(each.get("of", ""), row))
+
         return replace(
             part,
             tables=[first, *part.tables[1:]],
-            conditions=conditions + part.conditions,
+            conditions=[noted[at] for at in sorted({last_of(" ".join(row)) for row in rows})],
             drawn=part.drawn if part.drawn and part.drawn.rows else self.drawn,
         )
 
     def markdown(self) -> str:
-        """Return it for a page: the figures that miss their target come first."""
+        """Return it for a page: figures that miss their target first; those that meet it, and long tables, folded."""
         parts = [self.about, " ".join(map(_said, self.conditions))]
-        if self.figures:
-            ordered = sorted(self.figures, key=lambda each: each.is_met)
-            missed = sum(not each.is_met for each in self.figures)
-            aimed = sum(each.target is not None for each in self.figures)
-            parts.append(f"{missed} of {aimed} figures with a target miss it." if aimed else "")
-            parts.append(_markdown(["figure", "value", "bound", "target", ""], [_cells(each) for each in ordered]))
+        aimed = [each for each in self.figures if each.target is not None]
+        met = [each for each in aimed if each.is_met]
+        if aimed:
+            parts.append(f"{len(aimed) - len(met)} of {len(aimed)} figures with a target miss it.")
+        others = [each for each in self.figures if each not in met]
+        parts.append(_figures(sorted(others, key=lambda each: each.is_met)))
+        if met:
+            parts.append(_folded(f"Figures that meet their target: {len(met)}", _figures(met)))
         for table in self.tables:
-            parts.append(f"{table.title}:" if table.title else "")
-            parts.append(_markdown(table.columns, [list(map(shown, row)) for row in table.rows]))
+            rows = _markdown(table.columns, [list(map(shown, row)) for row in table.rows])
+            if len(table.rows) > _MOST_ROWS:
+                parts.append(_folded(table.title or f"{len(table.rows)} rows", rows))
+            else:
+                parts += [f"{table.title}:" if table.title else "", rows]
         return "\n\n".join(filter(None, parts))
+
+
+def _folded(title: str, text: str) -> str:
+    return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
 def _said(noted: dict[str, Any]) -> str:
@@ -144,12 +161,19 @@ def _said(noted: dict[str, Any]) -> str:
     return f"{of}{noted['date']}, commit {noted['commit'][:7]}{modified}, {noted['machine']}, {load}{void}."
 
 
-def _cells(figure: Figure) -> list[str]:
-    value = shown(figure.value)
-    sign = "≥" if figure.at_least else "≤"
-    target = "" if figure.target is None else f"{sign} {shown(figure.target)}"
-    bound = "" if figure.bound is None else shown(figure.bound)
-    return [figure.what, value if figure.is_met else f"**{value}**", bound, target, figure.unit]
+def _figures(figures: Sequence[Figure]) -> str:
+    """Return a table, without the columns that none of them has."""
+    columns = {
+        "figure": [each.what for each in figures],
+        "value": [shown(each.value) if each.is_met else f"**{shown(each.value)}**" for each in figures],
+        "bound": ["" if each.bound is None else shown(each.bound) for each in figures],
+        "target": [
+            "" if each.target is None else f"{'≥' if each.at_least else '≤'} {shown(each.target)}" for each in figures
+        ],
+        "unit": [each.unit for each in figures],
+    }
+    kept = {head: cells for head, cells in columns.items() if any(cells)}
+    return _markdown(list(kept), list(zip(*kept.values(), strict=True))) if kept else ""
 
 
 def shown(value: Any) -> str:

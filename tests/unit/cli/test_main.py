@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
+import subprocess
 import sys
 from types import ModuleType
 from unittest.mock import Mock
 
 import pytest
 
+from arpd.cli import main
 from arpd.host.config.keys import flatten
 from arpd.host.config.load import load_settings
 from arpd.model.errors import LinkError, RosUnavailableError
@@ -33,6 +36,8 @@ TOPICS = "--sensing 11 --actuation 0"
         ("topics --suggest --base 10.0.0", "--base"),
         ("topics --suggest --json", "not allowed with"),
         ("doctor --listen soon", "--listen"),
+        ("doctor --interface nosuch0", "--interface"),
+        ("relay --node-name a-b", "--node-name"),
         ("top --interval 0", "--interval"),
         ("status --url localhost:9464", "--url"),
         ("status --url file:///etc/passwd", "--url"),
@@ -89,11 +94,15 @@ def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, 
 
 
 def test_check_says_what_differs_from_the_defaults(run, config):
-    """After OK come the keys that the file changes; as JSON it is every key."""
-    path = config("relay: {link_domain: 77, robot: 10.0.0.1}")
+    """After OK come the keys that the file changes, of a topic too; as JSON it is every key."""
+    path = config("{relay: {link_domain: 77, robot: 10.0.0.1}, topics: [{name: /scan, weight: 2}]}")
     code, out, err = run("check", path)
     assert (code, out.split()[0], err) == (0, "OK", "")
-    assert "relay.link_domain: none -> 77" in out
+    assert [line.strip() for line in out.splitlines()[1:]] == [
+        "topics[/scan].weight: 1.0 -> 2.0",
+        "relay.link_domain: none -> 77",
+        "relay.robot: none -> 10.0.0.1",
+    ]
     code, out, _ = run("check", "--json", path)
     assert (code, json.loads(out)["settings"]) == (0, flatten(load_settings(path, interfaces=None)))
 
@@ -138,6 +147,42 @@ def test_errors_become_one_line_and_an_exit_code(run, monkeypatch, error, code, 
     monkeypatch.setattr(peer, "run_peer", Mock(side_effect=error), raising=False)
     monkeypatch.setitem(sys.modules, peer.__name__, peer)
     assert run("peer") == (code, "", message)
+
+
+@pytest.mark.parametrize("options", [[], ["--far"]])
+def test_a_relay_with_nothing_to_carry_says_so(config, options):
+    """It names the keys to write, stays, and ends with 0 when it is told to."""
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    command = [sys.executable, "-m", "arpd.cli", "relay", "--config", config("link: {interface: auto}"), *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as relay:
+        try:
+            assert "relay.link_domain" in relay.stderr.readline()
+        finally:
+            relay.terminate()
+    assert relay.returncode == 0
+
+
+@pytest.mark.parametrize("command", [*main.COMMANDS, ""])
+def test_help_fits_a_narrow_terminal(run, monkeypatch, command):
+    """Prose is filled; only tables and examples are wider."""
+    monkeypatch.setenv("COLUMNS", "60")
+    out = run(*command.split(), "--help")[1]
+    assert not [line for line in out.splitlines() if len(line) > 60 and not main.is_table(line)]
+
+
+@pytest.mark.parametrize(
+    ("line", "exits", "said"),
+    [("status --help", 0, "now>planned"), ("solve --rmax 100 --sensing 80 --actuation 1", 1, "Rmax/N - Rmin")],
+)
+def test_a_terminal_that_lacks_a_character_gets_another(run, monkeypatch, line, exits, said):
+    """Nothing ends with a traceback in a locale without Unicode, on either stream."""
+    streams = [io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2)]
+    for name, stream in zip(("stdout", "stderr"), streams, strict=True):
+        monkeypatch.setattr(sys, name, stream)
+    assert run(*line.split())[0] == exits
+    for stream in streams:
+        stream.flush()
+    assert said.encode() in b"".join(stream.buffer.getvalue() for stream in streams)
 
 
 TABLE_2 = {100: (7, 365), 200: (15, 390), 500: (40, 405), 1000: (82, 410)}

@@ -41,14 +41,14 @@ def test_live_needs_a_terminal_that_can_be_drawn_on(run, monkeypatch, is_termina
 class Screen:
     """A terminal with ``arpd`` on it."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, stdin):
         self._master, slave = pty.openpty()
         fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
         self.before = termios.tcgetattr(slave)
         self._slave = slave
         self.process = subprocess.Popen(
             [sys.executable, "-m", "arpd.cli", *arguments],
-            stdin=slave,
+            stdin=stdin or slave,
             stdout=slave,
             stderr=slave,
             env={**os.environ, "TERM": "xterm-256color"},
@@ -86,8 +86,8 @@ def top():
     """Start ``arpd top`` on a terminal."""
     with contextlib.ExitStack() as screens:
 
-        def top(url, *options):
-            screen = Screen("top", "--url", url, *options)
+        def top(url, *options, stdin=None):
+            screen = Screen("top", "--url", url, *options, stdin=stdin)
             screens.callback(screen.close)
             return screen
 
@@ -123,10 +123,10 @@ def test_top_exits_as_status_does_where_no_daemon_answers(top):
 
 
 def test_top_waits_for_a_daemon_that_goes_away(top):
-    """It says so, goes on, and shows the daemon that comes back."""
+    """It says so, goes on, also without a keyboard, and shows the daemon that comes back."""
     answers = {"body": json.dumps(busy())}
     with serving(lambda: answers["body"], history=json.dumps(HISTORY)) as url:
-        screen = top(url, "--interval", "0.2")
+        screen = top(url, "--interval", "0.2", stdin=subprocess.DEVNULL)
         screen.await_text("event 29")
         answers["body"] = "<html>"
         screen.await_text("no answer for ")
