@@ -90,6 +90,7 @@ class Access:
         self.protection = load_protection(http, directory=directory)
         self._stamps = _stamps(self.protection.files)
         self._passwords = Passwords(clock=time.monotonic, secret=os.urandom(32))
+        self._naming = asyncio.Lock()
 
     async def refusal(self, request: HTTPServerRequest) -> HTTPStatus | None:
         """Return why a request without the right name or password is refused, None for one that may be answered."""
@@ -99,9 +100,25 @@ class Access:
             verdict = await self._passwords.judge(protection.users, given, client_of(str(request.remote_ip)))
             self.counts.authentications.labels(verdict).inc()
             return _REFUSALS.get(verdict)
-        if protection.tls is None and not await is_own_name(request.host, self._http.host):
+        if protection.tls is None and not await self._is_own_name(request.host):
             return HTTPStatus.MISDIRECTED_REQUEST
         return None
+
+    async def _is_own_name(self, host: str) -> bool:
+        """Return whether a Host header names this computer: by an address, or by a name of its own.
+
+        A page on the web can let its name lead to this computer (DNS rebinding) and read what the daemon answers to the
+        browser. It cannot do so for an address, nor for a name that is not its own.
+        """
+        name = split_host_and_port(host.lower())[0].removesuffix(".")
+        if name in ("localhost", self._http.host.lower()) or name.endswith(".localhost"):
+            return True
+        try:
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            async with self._naming:  # one thread at a time: it may have to wait for a name server
+                return name in await asyncio.to_thread(_own_names)
+        return True
 
     def follow(self) -> bool:
         """Read the files again if they have changed; return True if there is another protection in force."""
@@ -136,27 +153,6 @@ def exposure(addresses: Iterable[str], protection: Protection) -> str:
     if protection.tls is None:
         return "passwords cross the network unencrypted; add tls_server_config to http.web_config"
     return ""
-
-
-async def is_own_name(host: str, listening_on: str) -> bool:
-    """Return whether a Host header names this computer: by an address, or by a name of its own.
-
-    A page on the web can let its name lead to this computer (DNS rebinding) and read what the daemon answers to the
-    browser. It cannot do so for an address, nor for a name that is not its own.
-
-    Parameters
-    ----------
-    host : the header, with or without a port
-    listening_on : ``http.host``
-    """
-    name = split_host_and_port(host.lower())[0].removesuffix(".")
-    if name in ("localhost", listening_on.lower()) or name.endswith(".localhost"):
-        return True
-    try:
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return name in await asyncio.to_thread(_own_names)  # which may ask a name server
-    return True
 
 
 @cache

@@ -66,8 +66,6 @@ class SnapshotCollector(Collector):
         if snapshot is None:
             return
         now_s, rows = self._clock(), topic_rows(snapshot)
-        age_s = max(0.0, now_s - snapshot.finished_at_s)
-        yield _family("snapshot_age_seconds", "Time since the last tick finished.", age_s)
         yield _family(
             "condition",
             "1 while arpd judges that the condition holds; wrong where somebody should look.",

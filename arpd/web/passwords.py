@@ -66,8 +66,7 @@ class Passwords:
         authorization : the request's header
         client : name that a wrong password counts against
         """
-        credentials = parse_basic(authorization)
-        if credentials is None:
+        if (credentials := _parse_basic(authorization)) is None:
             return PasswordVerdict.MISSING
         name, password = credentials
         known = users.get(name)
@@ -119,8 +118,8 @@ class Passwords:
         self._budgets[client] = (min(BURST, left + 1.0), since_s)
 
 
-def parse_basic(header: bytes) -> tuple[bytes, bytes] | None:
-    """Return name and password of an Authorization header, None if there are none; a target of the fuzzer."""
+def _parse_basic(header: bytes) -> tuple[bytes, bytes] | None:
+    """Return name and password of an Authorization header, None if there are none."""
     scheme, _, rest = header.partition(b" ")
     if scheme.lower() != b"basic":
         return None

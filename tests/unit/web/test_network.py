@@ -9,6 +9,7 @@ import socket
 import ssl
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -194,6 +195,17 @@ def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, pa
             for raw in flood:
                 raw.close()
         assert world.count("arpd_http_connections_evicted_total") >= 1000 - MAX_CONNECTIONS
+
+
+def test_a_name_server_that_is_silent_keeps_no_scrape_out(monkeypatch):
+    """However many ask by another name, who asks by an address waits for none of them."""
+    answers = threading.Event()
+    monkeypatch.setattr(access, "_own_names", lambda: answers.wait(60.0) and frozenset())
+    with running() as world, ThreadPoolExecutor(MAX_CONNECTIONS // 2) as threads:
+        others = [threads.submit(world.get, Host="rebound.example") for _ in range(MAX_CONNECTIONS // 2)]
+        assert world.get("/metrics").status == 200
+        answers.set()
+        assert {each.result().status for each in others} == {421}
 
 
 NOISE = 1000
