@@ -220,7 +220,7 @@ class _Run:
             ticked_s = clock.now_s
             decision = self._daemon.tick(clock.now_s)
             alarm.set(ticked_s + self._daemon.pause_s)
-            if decision.level_changed:
+            if decision.reason:
                 self._causes.append(decision.reason)
 
         self._world = SimulatedWorld(

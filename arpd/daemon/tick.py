@@ -192,7 +192,7 @@ class Daemon:
         topics, allocation, decision, come = self._planned
         price = self._of_now(topics, seen, link, budget).price() if topics and not seen.active_daemon else None
         allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
-        decision = replace(decision, price=price, level_changed=False, reason="")
+        decision = replace(decision, price=price, reason="")
         self._planned = Planned(topics, allocation, decision, come)
 
     def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:

@@ -76,6 +76,10 @@ class CrossTraffic:
         """Note a probe of ours: before the first estimate, trains exceed every allowance."""
         self._probes.add(now_s, now_s, peers * request.packets * probe_wire_bytes(request.packet_bytes))
 
+    def ignore(self, until_s: float) -> None:
+        """Ignore what crosses before then: after an outage, much of what it took is sent again."""
+        self._known_from_s = max(self._known_from_s, until_s)
+
     def probe_bytes(self, since_s: float) -> float:
         """Return the bytes of the probes since then (bytes)."""
         return self._probes.since(since_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
@@ -53,6 +54,7 @@ class Estimator:
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
         self._schedule = ProbeSchedule()
+        self._asked: deque[ProbeRequest] = deque(maxlen=100)  # probes from the last one on that a peer has
         self._belief = Belief(settings.initial_capacity_bytes_per_second)
         self._belief.pinned = settings.capacity_bytes_per_second
         self._state = LinkState.APP_LIMITED
@@ -124,6 +126,8 @@ class Estimator:
         else:
             self._forget_queue()
             self._state = self._judge_alone(now_s, observation.counters)
+        if self._state is LinkState.OUTAGE:
+            self._cross_traffic.ignore(now_s + parameters.RESENDS_S)
         return self._estimate(now_s, cross_traffic)
 
     def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:
@@ -154,6 +158,7 @@ class Estimator:
             if request.packets == 1:
                 self._peers.note_sent(SentPing(request.number, now_s, self._local.handed_bytes))
             self._loss.note_sent(request)
+        self._asked.extend(requests)
         return requests
 
     # -- evidence
@@ -175,6 +180,8 @@ class Estimator:
         if parameters.OUTAGE_FORGET_S < silent_s < math.inf:
             self._resume(now_s, silent_s)
         self._reported_s = now_s
+        while self._asked and self._asked[0].number < report.last_probe:
+            self._asked.popleft()
         self._loss.digest(report)
         peer = self._peers.digest(report, handed_bytes=self._local.handed_bytes)
         if report.delays_s:
@@ -211,16 +218,23 @@ class Estimator:
     # -- the capacity
 
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
+        """Weigh what trains and deliveries show, and state what is news."""
+        pinged, self._pinged = self._pinged, []
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        believed, why = self._belief.filter, ""
+        why = ""
         for rate in self._trains.take(packet_overhead_s=self._overhead_s):
-            believed.wait(now_s)
-            believed.train(rate)
+            self._belief.filter.wait(now_s)
+            self._belief.filter.train(rate)
             why = f"trains see {rate * 8e-6:.1f} Mbit/s"
-        pinged, self._pinged = self._pinged, []
-        if now_s <= self._learns_from_s:
-            return
+        if now_s > self._learns_from_s:
+            why = self._weigh_delivery(now_s, pinged, has_reports=has_reports) or why
+        if why and (self._belief.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS):
+            self._belief.follow(now_s, CapacityKind.PEER, why)
+
+    def _weigh_delivery(self, now_s: float, pinged: Sequence[float], *, has_reports: bool) -> str:
+        """Weigh what arrived, or left, since the last look; return what it shows, in words."""
+        believed = self._belief.filter
         late_s = 1.5 * (self._peers.return_delay_s or 0.0)
         stays = self._queues.stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + late_s
         # Bytes from other senders are no evidence. Beside them, what this host sent may wait in a queue that it cannot
@@ -235,15 +249,17 @@ class Estimator:
         if busy:
             believed.wait(now_s)
             believed.delivered_busy(busy, weight=weight, overhead=self._peers.overhead_of(busy, self._overhead_s))
-            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
-        elif has_reports and stays and not has_arrived and delivered > 0 and (growth := self._queues.growth) > -0.5:
-            believed.wait(now_s)  # a queue that drains says nothing: less is sent than the link carries
-            believed.filled_by(delivered / (1.0 + growth))
-            why = f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
-        elif has_reports and not stays and delivered > 0:
+            return f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
+        if not has_reports or delivered <= 0:
+            return ""
+        if not stays:
             self._weigh_idleness(now_s, delivered, pinged, has_arrived=has_arrived)
-        if self._belief.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS:
-            self._belief.follow(now_s, CapacityKind.PEER, why or "carried without a queue")
+            return "carried without a queue"
+        if (growth := self._queues.growth) <= -0.5:
+            return ""  # a queue that drains says nothing: less is sent than the link carries
+        believed.wait(now_s)
+        believed.filled_by(delivered / (1.0 + growth))
+        return f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
 
     def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_arrived: bool) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
@@ -298,8 +314,8 @@ class Estimator:
 
     @property
     def _outage_s(self) -> float:
-        """Silence that is an outage: longer than one lost report explains (s)."""
-        return max(parameters.OUTAGE_S, 1.6 * self._schedule.quiet_s)
+        """Silence that is an outage: longer than one lost report explains, at the pace that reached the peer (s)."""
+        return max(parameters.OUTAGE_S, 1.6 * max((request.quiet_s for request in self._asked), default=0.0))
 
     @property
     def _queue_low_s(self) -> float:

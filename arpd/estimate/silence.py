@@ -32,26 +32,24 @@ class Silence:
     def __init__(self) -> None:
         self._looks: deque[tuple[float, LinkCounters]] = deque()
         self._usual_hz = 0.0
-        self._was_heard = False  # any peer, ever
-        self._unheard_s: float | None = None  # since when no peer is heard
+        self._heard_s = math.inf  # when a peer was heard last, or the interface came up since; at first none ever was
         self._quiet: tuple[float, LinkCounters] | None = None  # start of the span that counts
 
     def note(self, now_s: float, counters: LinkCounters | None, *, is_usual: bool) -> None:
         """Note the counters of the interface; ``is_usual`` is True while a peer is heard."""
-        self._was_heard |= is_usual
-        is_up = counters is not None and counters.is_up
-        if is_usual or not is_up or not self._was_heard:
-            self._unheard_s = self._quiet = None
-        if counters is None or not is_up:
+        if counters is None or not counters.is_up:
             self._looks.clear()
+            self._quiet = None
+            if self._heard_s < math.inf:
+                self._heard_s = now_s
             return
-        if not is_usual and self._was_heard:
-            self._unheard_s = now_s if self._unheard_s is None else self._unheard_s
-            if self._quiet is None and now_s - self._unheard_s >= _UNDER_WAY_S:
-                self._quiet = now_s, counters
-        if is_usual and self._looks and (elapsed_s := now_s - self._looks[-1][0]) > 0:
-            rate_hz = (counters.rx_packets - self._looks[-1][1].rx_packets) / elapsed_s
-            self._usual_hz -= math.expm1(-elapsed_s / _USUAL_S) * (rate_hz - self._usual_hz)
+        if is_usual:
+            self._heard_s, self._quiet = now_s, None
+            if self._looks and (elapsed_s := now_s - self._looks[-1][0]) > 0:
+                rate_hz = (counters.rx_packets - self._looks[-1][1].rx_packets) / elapsed_s
+                self._usual_hz -= math.expm1(-elapsed_s / _USUAL_S) * (rate_hz - self._usual_hz)
+        elif self._quiet is None and now_s - self._heard_s >= _UNDER_WAY_S:
+            self._quiet = now_s, counters
         self._looks.append((now_s, counters))
         while len(self._looks) > 1 and now_s - self._looks[1][0] >= _TRICKLE_S:
             self._looks.popleft()

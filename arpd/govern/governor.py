@@ -101,7 +101,6 @@ class Governor:
             allowed=_allowed(rates, topics),
             price=rates.price,
             plan=self.plan,
-            level_changed=bool(cause),
             reason=cause,
             refusals=("budget",) if self._is_postponed else (),
         )

@@ -88,7 +88,7 @@ def settling(seed, mbits):
 
 
 def plans(ticks):
-    return [(tick.t_s, tick.decision.reason) for tick in ticks if tick.decision.level_changed]
+    return [(tick.t_s, tick.decision.reason) for tick in ticks if tick.decision.reason]
 
 
 # -- on any link, at every tick

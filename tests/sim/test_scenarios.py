@@ -197,9 +197,9 @@ UPLOAD = (flow(UPLOAD_S, UPLOAD_END_S, 2.0),)
     ],
 )
 def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
-    """Alone on the link, less than 8 % counts as cross traffic, resends included."""
+    """Alone on the link, less than 5 % counts as cross traffic, resends included."""
     moments = play(schedule, duration_s, **more).moments
-    assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.08
+    assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05
 
 
 def test_an_upload_gets_room_and_gives_it_back():
@@ -214,7 +214,7 @@ def test_an_upload_gets_room_and_gives_it_back():
     assert max(moment.queue_delay_s for moment in beside) < 0.4
     after = between(result.moments, UPLOAD_END_S + 6.0, 50.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
-    assert min(moment.budget_bytes_per_second for moment in after) > 0.6 * 5.0 * MBIT
+    assert min(moment.budget_bytes_per_second for moment in after) > 0.75 * 5.0 * MBIT
     causes = [moment.cause for moment in result.plans if moment.t_s > 10.0]
     assert set(causes) == {"down"}
     assert len(causes) <= 2

@@ -62,7 +62,7 @@ class Watched:
 
     def plans(self, start_s: float, end_s: float) -> list[str]:
         """Return the causes of the plans made in a span."""
-        return [tick.decision.reason for tick in self.between(start_s, end_s) if tick.decision.level_changed]
+        return [tick.decision.reason for tick in self.between(start_s, end_s) if tick.decision.reason]
 
     def sent_hz(self, topic: str, start_s: float, end_s: float) -> float:
         """Return the rate at which samples left in a span, by the first and the last announcement in it (Hz)."""

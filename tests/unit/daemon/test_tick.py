@@ -175,5 +175,5 @@ def test_the_price_follows_the_link_within_a_tick():
     daemon.tick(1.9)
     first, *_, last = world.prices
     row = daemon.snapshot.decision.plan.topics[TOPIC]
-    assert (first.rate_hz(row), daemon.snapshot.decision.level_changed) == (row.rate_hz, False)
+    assert (first.rate_hz(row), daemon.snapshot.decision.reason) == (row.rate_hz, "")
     assert 0.84 * 4e4 < last.rate_hz(row) * row.wire_bytes <= 4e4

@@ -54,7 +54,7 @@ class Robot:
         for _ in range(round(seconds / TICK_S)):
             self.now_s += TICK_S
             decision = self.daemon.tick(self.now_s)
-            causes += [decision.reason] if decision.level_changed else []
+            causes += [decision.reason] if decision.reason else []
         return causes
 
     @property

@@ -165,6 +165,16 @@ def test_silence_is_an_outage_and_no_capacity():
     assert estimate.age_s > 5.0
 
 
+def test_a_peer_is_not_missed_before_it_has_heard_that_reports_should_come_sooner():
+    """When a slow link becomes fast, the peer reports as rarely as the last probe that reached it asked for."""
+    link = Link().measured()
+    link.ticks(3, trains=[1e4], rate=1e3)
+    link.ticks(20, rate=1e3)
+    assert link.tick(trains=[FIRST] * 3, rate=1e3).capacity_bytes_per_second > 0.5 * FIRST
+    assert link.ticks(7, silent=True).state is not LinkState.OUTAGE
+    assert link.ticks(6, silent=True).state is LinkState.OUTAGE
+
+
 @pytest.mark.parametrize("part", [0.2, 1.0, 3.0])
 def test_after_an_outage_two_trains_show_the_link(part):
     """An outage may end on another link, so the estimate is less certain then, and a few trains decide."""
@@ -175,6 +185,14 @@ def test_after_an_outage_two_trains_show_the_link(part):
     link.ticks(4, rate=1e4)
     estimate = link.ticks(2, rate=1e4, trains=[part * FIRST])
     assert estimate.capacity_bytes_per_second == about(part * FIRST, 0.15)
+
+
+def test_the_reason_is_what_was_seen():
+    """After an outage trains are the reason of a capacity, while next to nothing is carried."""
+    link = Link().measured()
+    link.ticks(30, silent=True)
+    link.ticks(4, rate=1e3, trains=[0.2 * FIRST])
+    assert "trains see" in link.ticks(8, rate=1e3).evidence
 
 
 @pytest.mark.parametrize("trouble", [{"silent": True}, FALLEN], ids=["outage", "queue"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from arpd.estimate.silence import Silence
+from arpd.model.interface import InterfaceState
 from tests.sample_link import INTERFACE
 
 
@@ -21,3 +22,12 @@ def test_a_link_that_only_trickles_is_cut(how, rate, is_cut):
         counters = replace(INTERFACE, tx_bytes=int(sent), rx_packets=received, tx_packets=int(sent / 200), **trouble)
         silence.note(50.0 + 0.1 * tick, counters, is_usual=is_usual)
     assert silence.is_cut is is_cut
+
+
+@pytest.mark.parametrize("counters", [None, replace(INTERFACE, state=InterfaceState.DOWN)])
+def test_a_peer_on_another_way_is_no_peer_of_this_link(counters):
+    """A peer that is heard while the interface is down is not missed when the interface comes."""
+    silence = Silence()
+    for tick in range(200):
+        silence.note(50.0 + 0.1 * tick, counters if tick < 20 else INTERFACE, is_usual=tick < 20)
+    assert not silence.is_cut

@@ -89,7 +89,7 @@ class Run:
         """Tick until there is a new plan; return the time that took, and the cause."""
         started_s = self.now_s
         while self.now_s - started_s < limit_s:
-            if (decision := self.tick(capacity)).level_changed:
+            if (decision := self.tick(capacity)).reason:
                 return self.now_s - started_s, decision.reason
         return limit_s, ""
 
@@ -101,14 +101,11 @@ class Run:
 
 
 def changes(decisions):
-    return [decision.reason for decision in decisions if decision.level_changed]
+    return [decision.reason for decision in decisions if decision.reason]
 
 
 def qos(plan):
     return {name: row.qos for name, row in plan.topics.items()}
-
-
-# -- rates
 
 
 # -- plans for topics
@@ -263,7 +260,7 @@ def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
     """A plan over the budget sets ceilings and terms at once; the heaviest topics swap first, the rest later."""
     weighted = tuple(replace(topic, weight=1.0 + i) for i, topic in enumerate(TOPICS))
     run = Run(topics=weighted, participants=50)
-    decision = next(decision for decision in run.ticks(3.0) if decision.level_changed)
+    decision = next(decision for decision in run.ticks(3.0) if decision.reason)
     assert (decision.reason, decision.refusals) == ("start", ("budget",))
     for topic in weighted:
         row = decision.plan.topics[topic.name]
@@ -285,7 +282,7 @@ def test_depths_follow_memory_down_even_in_an_outage():
     before = run.governor.plan
     run.memory, run.silent = 15_000.0, {"/t0"}
     decision, later = run.tick(state=LinkState.OUTAGE), run.ticks(20.0, state=LinkState.OUTAGE)
-    assert (decision.level_changed, decision.reason) == (True, "memory")
+    assert decision.reason == "memory"
     assert decision.plan.generation == before.generation + 1
     assert run.governor.plans_by_cause == {"start": 1, "memory": 1}
     depths = {name: row.depth for name, row in decision.plan.topics.items()}
@@ -311,7 +308,7 @@ def test_a_restarted_daemon_keeps_what_its_predecessor_left():
         deadline_ns=left.topics[name].deadline_ns,
         generation=left.generation,
     )
-    decision = next(decision for decision in run.ticks(2.0, 1.03e6) if decision.level_changed)
+    decision = next(decision for decision in run.ticks(2.0, 1.03e6) if decision.reason)
     assert (decision.reason, decision.plan.generation) == ("start", left.generation + 1)
     assert decision.plan.topics == left.topics
 
