@@ -201,14 +201,24 @@ def transports(here: Here) -> Finding:
     """Judge whether all participants can tell each other of their topics.
 
     They do so over TCP alone with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and over UDP alone without it. The two kinds
-    hear each other's announcements, but never find each other's topics.
+    hear each other's announcements, but never find each other's topics. With LARGE_DATA samples cross within one
+    computer through shared memory alone, which processes of different users or containers do not have.
     """
     if not (told := [one for one in here.heard.announcers if one.transports]):
         return fine("nobody announces itself, so nobody is cut off")
     own = [one.transports for one in told if one.is_arpds]
     ((usual, _number),) = Counter(own or [one.transports for one in told]).most_common(1)
     if not (apart := [one for one in told if not one.transports & usual]):
-        return fine(f"all participants share {listed(sorted(usual))}")
+        memory = {one.memory for one in told if one.is_arpds} - {None}
+        hidden = {one.process for one in told if one.memory and memory and one.memory not in memory}
+        if not hidden or not any(name.startswith("TCP") for name in usual):
+            return fine(f"all participants share {listed(sorted(usual))}")
+        return wrong(
+            f"{listed(sorted(hidden))} and arpd find each other and exchange nothing: with LARGE_DATA samples cross "
+            "shared memory, and theirs is not arpd's (another user, or a container)",
+            _AS_THE_NODES_USER,
+            "docker run --ipc=host …   # for a node in a container",
+        )
     theirs = sorted(frozenset[str]().union(*(one.transports for one in apart)))
     names = listed(sorted({one.process if one.is_here else f"{one.process} of {one.host}" for one in apart}))
     have_tcp = any(name.startswith("TCP") for name in theirs)

@@ -28,7 +28,6 @@ from arpd.ros.rmw import current_rmw
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from rclpy.context import Context
     from rclpy.node import Node
 
     from arpd.model.endpoints import PublisherState, WriterQos
@@ -85,7 +84,7 @@ class NodePublishers:
         self._node = node
         self._name = node.get_fully_qualified_name()
         self._clock = clock
-        self.thread = attached(node.context, WritingThread, lambda: _started(node.context, clock))
+        self.thread = attached(node.context, WritingThread, lambda: _started(node, clock))
         self.relay: RelaySummary | None = None
         self._publishers: dict[str, Paced] = {}
         self._warned: set[str] = set()  # topics that make others wait
@@ -109,6 +108,7 @@ class NodePublishers:
             Inbox(node, PRICES, _NEWEST, lambda _sample, price: self.take_price(price), clock=clock, warn=warn),
             Inbox(node, _PLANS, PLAN_QOS, lambda _sample, plan: self.take_plan(plan), clock=clock, warn=warn),
         )
+        node.context.on_shutdown(self._end)
         self.thread.wake(self)
 
     @classmethod
@@ -152,10 +152,14 @@ class NodePublishers:
                 self._expire_plan()
             self._tell()
         except InvalidHandle:  # the node is gone; a publisher alone raises none here
-            for inbox in self._inboxes:
-                inbox.destroy()
+            self._end()
             raise
         return self._tell_s
+
+    def _end(self) -> None:
+        """Read no more: a reader would keep the participant."""
+        for inbox in self._inboxes:
+            inbox.destroy()
 
     @property
     def _tell_s(self) -> float:
@@ -271,9 +275,10 @@ class NodePublishers:
         self._show_price(publisher)
 
 
-def _started(context: Context, clock: Callable[[], float]) -> WritingThread:
-    """Return the thread of a participant, which ends with it."""
-    thread = WritingThread(PacedQueue(), name="arpd-writing", is_alive=context.ok, clock=clock)
+def _started(node: Node, clock: Callable[[], float]) -> WritingThread:
+    """Return the thread of a participant, which ends with it, and speaks for its first node."""
+    context, warn = node.context, node.get_logger().error
+    thread = WritingThread(PacedQueue(), name="arpd-writing", warn=warn, is_alive=context.ok, clock=clock)
     thread.start()
     context.on_shutdown(thread.stop)
     return thread

@@ -111,7 +111,8 @@ class AdaptivePublisher:
             timing=swap_timing,
             lock=threading.RLock(),
         )
-        self._overrides = None  # now part of the profile; rclpy declares each only once
+        self.qos_profile = copy(self._writer.publisher.qos_profile)  # with the overrides of the other policies
+        self._overrides = None
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
         if words := current_rmw().refusal:
@@ -250,10 +251,7 @@ class AdaptivePublisher:
             callback_group=self._callback_group,
             qos_overriding_options=self._overrides,
         )
-        writer = RosWriter(self._node, create, self._event_callbacks, requests=self._requests, in_force=self._in_force)
-        if self._overrides is not None:
-            self.qos_profile = copy(profile)
-        return writer
+        return RosWriter(self._node, create, self._event_callbacks, requests=self._requests, in_force=self._in_force)
 
     def _in_force(self) -> RosWriter | None:
         return self._writer if hasattr(self, "_flow") else None  # None while the first one is made

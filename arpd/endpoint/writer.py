@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from arpd.model.endpoints import SwapResult, WriterQos
 from arpd.ros.graph import deadline_ns_of
 from arpd.ros.plan_message import checked
-from arpd.ros.rcl import InvalidHandle, rcl, status_of
+from arpd.ros.rcl import InvalidHandle, Outlet, status_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,7 +59,7 @@ class RosWriter:
         self._hears_of_deadlines = getattr(event_callbacks, "deadline", None) is not None
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
-        self._outlet = rcl().outlet(self.publisher.handle)
+        self._outlet = Outlet(self.publisher.handle)
         self.deadline_ns = deadline_ns_of(self.publisher.qos_profile)
 
     def publish(self, sample: bytes) -> None:

@@ -8,9 +8,8 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from rclpy.logging import get_logger
-
 from arpd.endpoint.lane import SMALL_BYTES
+from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.rcl import InvalidHandle
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
-_RETRY_S, _WARN_EVERY_S = 0.1, 5.0
+_RETRY_S = 0.1
 _IDLE_S = 1.0  # most between two turns, for the watchdog
 _BLOCKED_S = 0.05  # a scheduler takes less
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
@@ -46,6 +45,7 @@ class WritingThread:
     ----------
     queue : what waits
     name : of the thread
+    warn : says a fault of a topic, each once a minute
     is_alive : returns False once its participant is gone, which ends the thread
     clock : monotonic clock (s)
     """
@@ -55,10 +55,12 @@ class WritingThread:
         queue: PacedQueue,
         *,
         name: str,
+        warn: Callable[[str], object],
         is_alive: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._queue = queue
+        self._warn, self._logged = warn, OncePerMinute()
         self._is_alive = is_alive
         self._clock = clock
         self._lock = threading.RLock()  # guards all of these
@@ -205,9 +207,9 @@ class WritingThread:
             if due_s < self._turns.get(turn, math.inf):
                 self._turns[turn] = due_s
 
-    @staticmethod
-    def _say(words: str) -> None:
-        get_logger("arpd").error(words, throttle_duration_sec=_WARN_EVERY_S, skip_first=False)
+    def _say(self, words: str) -> None:
+        if self._logged.take(words, self._clock()):
+            self._warn(f"{words} (logged once a minute)")
 
     def _wake(self, by_s: float) -> None:
         if by_s < self._next_s:
@@ -219,10 +221,9 @@ class WritingThread:
             self._wake(self._queue.due_s(self._clock()))
 
     def _run(self) -> None:
-        while self._is_alive():  # without the lock: a context that shuts down has its own, and calls `stop`
+        # Without the lock: a context that shuts down has its own, and calls `stop`.
+        while not self._is_stopping and self._is_alive():
             with self._lock:
-                if self._is_stopping:
-                    return
                 act = self._choose(self._clock())
                 if act is None:
                     now_s = self.finished_s = self._clock()
@@ -236,7 +237,7 @@ class WritingThread:
             except InvalidHandle:
                 continue  # what it was for has just been destroyed
             except Exception as error:  # noqa: BLE001 - as above
-                self._say(f"a write failed: {error}; the next one follows")
+                self._say(f"{error}; the next sample follows")
             self.finished_s = self._clock()
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:

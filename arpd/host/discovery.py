@@ -46,6 +46,7 @@ class Announcer:
     is_here : whether it runs on this computer
     is_arpds : whether it is a process of arpd's; never known of another computer's
     transports : over what it tells of its topics, as "UDPv4"; empty = not known
+    memory : what it has in common with all that share memory with it; None = not known, or of another computer
     """
 
     host: str
@@ -53,6 +54,7 @@ class Announcer:
     is_here: bool
     is_arpds: bool
     transports: frozenset[str] = frozenset()
+    memory: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,6 +109,7 @@ def _announcer(address: str, properties: dict[str, str], transports: set[str], o
         # In a workspace of colcon it is lib/arpd/relay.
         is_arpds=program.name.partition(".")[0] == "arpd" or program.parts[-3:-1] == ("lib", "arpd"),
         transports=frozenset(transports),
+        memory=_memory(number) if is_here else None,
     )
 
 
@@ -121,6 +124,19 @@ def _program(number: str) -> Path:
         script = next((word for word in words if word == "-c" or not word.startswith("-")), "-c")
         program = program if script == "-c" else script
     return Path(program)
+
+
+def _memory(number: str) -> tuple[int, ...] | None:
+    """Return the user of a process of this computer, and where they may be seen, the numbers of its /dev/shm."""
+    try:
+        process = Path("/proc", str(int(number)))
+        user = process.stat().st_uid
+    except (OSError, ValueError, OverflowError):
+        return None
+    with suppress(OSError):
+        found = (process / "root/dev/shm").stat()
+        return user, found.st_dev, found.st_ino
+    return (user,)
 
 
 def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:

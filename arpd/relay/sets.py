@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING
+
+from arpd.ros.cdr import stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from arpd.relay.envelope import Record
 
-_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 _MOST_BEGUN = 64  # sets that wait for their last sample
 
 
@@ -57,18 +57,3 @@ class Sets:
 
     def _drop(self, stamp: tuple[int, int]) -> None:
         self._on_drop(len(self._begun.pop(stamp)))
-
-
-def stamp_of(sample: bytes) -> tuple[int, int]:
-    """Return the header stamp (s, ns) of a serialized message whose first field is a std_msgs/Header.
-
-    Raises
-    ------
-    ValueError
-        If the sample is too short.
-    """
-    try:
-        seconds, nanoseconds = struct.unpack_from(_ORDER[sample[1]] + "iI", sample, 4)
-    except (KeyError, IndexError, struct.error) as fault:
-        raise ValueError("a sample without a header stamp") from fault
-    return seconds, nanoseconds

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.model.observation import MessageRefusal
+from arpd.ros.cdr import doubles, octets
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import decode_price
 from arpd.ros.rate_limits import OncePerMinute, RateLimit
-from arpd.ros.raw_reader import RawReader, ReadingThread, doubles, octets
+from arpd.ros.raw_reader import RawReader, ReadingThread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

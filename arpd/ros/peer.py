@@ -19,9 +19,10 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
 from arpd.host.notify import Notifier, Watchdog
+from arpd.ros.cdr import octets
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
-from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread, octets
+from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread
 from arpd.ros.runtime import control_node, serve_until, stop_on_signals
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ import logging
 import math
 import os
 import select
-import struct
 import threading
 import time
 from collections import deque
@@ -43,8 +42,6 @@ _TURN_S = 1.0  # longest wait for a sample
 _LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made where twice the bytes would be held
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
-
-_ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 
 
 class Sample(NamedTuple):
@@ -253,10 +250,11 @@ class RawReader:
             self._make()
 
     def destroy(self) -> None:
-        """Destroy the reader; a sample may still be delivered while this is called."""
+        """Destroy the reader, if it is not yet; a sample may still be delivered while this is called."""
         with self._lock:
-            self._is_destroyed = True
-            self._close()
+            if not self._is_destroyed:
+                self._is_destroyed = True
+                self._close()
 
     def _is_new(self, sample: Sample) -> bool:
         """Return whether this is a sample, and another one than the last.
@@ -315,35 +313,3 @@ class RawReader:
                 self._node.handle, self._msg_type, self.name, self._qos.get_c_qos_profile()
             )
         self._event = self._thread.watch(self)
-
-
-def octets(data: bytes) -> bytes:
-    """Return the content of a serialized UInt8MultiArray without dimensions; arpd's have none.
-
-    Raises ValueError if the bytes are no such array.
-    """
-    size, _order = _head(data)
-    held = data[16 : 16 + size]
-    if len(held) != size:
-        raise ValueError("an array that is cut off")
-    return held
-
-
-def doubles(data: bytes) -> tuple[float, ...]:
-    """Return the numbers of a serialized Float64MultiArray without dimensions; errors are those of `octets`."""
-    size, order = _head(data)
-    if len(data) < 20 + 8 * size:  # the first number is aligned
-        raise ValueError("an array that is cut off")
-    return struct.unpack_from(f"{order}{size}d", data, 20)
-
-
-def _head(data: bytes) -> tuple[int, str]:
-    """Return the number of items, and the order of bytes."""
-    try:
-        order = _ORDER[data[1]]
-        dimensions, _offset, size = struct.unpack_from(order + "III", data, 4)
-    except (KeyError, IndexError, struct.error) as fault:
-        raise ValueError("no array of numbers") from fault
-    if dimensions:
-        raise ValueError("an array with dimensions")
-    return size, order

@@ -95,10 +95,6 @@ class Rcl:
             raise MemoryError("rcutils_uint8_array_init")
         return held
 
-    def outlet(self, handle: Any) -> Outlet:
-        """Return what publishes serialized samples through a publisher's handle."""
-        return Outlet(self, handle)
-
     def add_graph_guard(self, node: int, wait_set: int) -> None:
         """Let a wait set wait for changes of the graph that a node sees; both are pointers."""
         self._add_guard(wait_set, self._graph_guard(node), None)
@@ -126,8 +122,8 @@ class Outlet:
 
     __slots__ = ("_handle", "_message", "_pointer", "_rcl", "_reference")
 
-    def __init__(self, functions: Rcl, handle: Any) -> None:
-        self._rcl, self._handle, self._pointer = functions, handle, handle.pointer
+    def __init__(self, handle: Any) -> None:
+        self._rcl, self._handle, self._pointer = rcl(), handle, handle.pointer
         self._message = _Outgoing()
         self._reference = ctypes.byref(self._message)
 
@@ -138,9 +134,9 @@ class Outlet:
         message.length = message.capacity = len(sample)
         with self._handle:
             fault = self._rcl.publish(self._pointer, self._reference, None)
-        message.buffer = None  # a sample may be large
-        if fault:
-            raise RuntimeError(f"publishing failed: {self._rcl.error()}")
+            message.buffer = None  # a sample may be large
+            if fault:
+                raise RuntimeError(f"{self._handle.get_topic_name()}: publishing failed: {self._rcl.error()}")
 
 
 @cache

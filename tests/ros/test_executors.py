@@ -1,5 +1,6 @@
 """AdaptivePublisher under every executor and from many threads, during continual swaps."""
 
+import gc
 import inspect
 import threading
 import time
@@ -135,17 +136,34 @@ def test_pacing_and_swaps_do_not_wait_for_simulated_time(ros, background, eventu
 
 
 def test_it_stays_in_the_context_of_its_node(ros, eventually):
-    """The publisher of a node in another context and domain is not visible here, and its thread ends with that."""
+    """The publisher of a node in another context and domain is not visible here."""
+    node = ros.elsewhere(DOMAIN + 1).idle_node("elsewhere")
+    publisher = AdaptivePublisher(node, String, TOPIC, 10)
+    for each in (ros.node("here"), node):
+        each.create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually("the reader there matches alone", lambda: publisher.get_subscription_count() == 1)
+    retune(publisher, depth=30)
+    eventually("the writer is swapped", lambda: publisher.state().depth == 30)
+
+
+@pytest.mark.parametrize("is_destroyed_first", [False, True])
+def test_nothing_of_a_participant_outlives_its_node_and_its_context(environment, eventually, is_destroyed_first):
+    """Both may go in any order: no thread waits for Python's collector, and nobody waits for a thread of arpd's."""
     with ExitStack() as stack:
-        node = Ros(stack, DOMAIN + 1).idle_node("elsewhere")
-        publisher = AdaptivePublisher(node, String, TOPIC, 10)
-        for each in (ros.node("here"), node):
-            each.create_subscription(String, TOPIC, lambda _message: None, 10)
-        eventually("the reader there matches alone", lambda: publisher.get_subscription_count() == 1)
-        retune(publisher, depth=30)
-        eventually("the writer is swapped", lambda: publisher.state().depth == 30)
-        thread = publisher._thread._thread
-    eventually("its thread ends", lambda: not thread.is_alive())
+        Ros(stack, DOMAIN + 1).idle_node("first")  # the first one leaves threads in any process
+    before = os_threads()
+    gc.disable()
+    try:
+        with ExitStack() as stack:
+            ros = Ros(stack, DOMAIN + 1)
+            node = ros.idle_node("short_lived")
+            AdaptivePublisher(node, String, TOPIC, 10)
+            if is_destroyed_first:
+                node.destroy_node()
+            ros.context.shutdown()
+        eventually("its threads end", lambda: os_threads() <= before)
+    finally:
+        gc.enable()
 
 
 def test_the_signature_is_that_of_create_publisher(ros):

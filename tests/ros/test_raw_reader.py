@@ -33,8 +33,7 @@ def connect(ros, thread, eventually):
 
     yield connect
     for reader in readers:
-        if not reader._is_destroyed:
-            reader.destroy()
+        reader.destroy()
 
 
 def test_the_watchdogs_time_runs_for_one_sample_alone(connect, thread, eventually):

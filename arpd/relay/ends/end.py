@@ -30,9 +30,10 @@ from arpd.relay.envelope import WRAP
 from arpd.relay.partner import EVERY_S, Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line, topics_of
+from arpd.ros.cdr import octets
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
-from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, octets
-from arpd.ros.rcl import no_publisher_events, rcl
+from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.ros.rcl import Outlet, no_publisher_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -100,7 +101,7 @@ class End:
         self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
         role, other = ("base", "robot") if is_far else ("robot", "base")
         states, small, signs, calls = (
-            rcl().outlet(
+            Outlet(
                 link_node.create_publisher(
                     UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
                 ).handle

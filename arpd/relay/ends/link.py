@@ -54,7 +54,7 @@ class LinkThread(WritingThread):
         together: Callable[[bytes], None],
     ) -> None:
         self.queue = LinkQueue(session, time.monotonic(), together=together)
-        super().__init__(self.queue, name="arpd-link")
+        super().__init__(self.queue, name="arpd-link", warn=log.error)
         self._write_state, self._write_sign = state, sign
         self.partner_gids = ""
         self._state: bytes | None = None  # that waits; a newer one takes its place

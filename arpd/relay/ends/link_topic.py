@@ -21,7 +21,7 @@ from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
 from arpd.ros.graph import type_name_of
 from arpd.ros.graph_view import GraphView
-from arpd.ros.rcl import no_publisher_events, rcl
+from arpd.ros.rcl import Outlet, no_publisher_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -82,7 +82,7 @@ class LinkTopic(Carried):
             lane = {"depth": depth, "large_depth": depth, "is_ordered": True, "is_kept": True}
         elif is_latched:
             lane = {"depth": asked or _HISTORY, "large_depth": asked or 1, "is_kept": True}
-        self._lane = Lane(rcl().outlet(self._publisher.handle).publish, **lane)
+        self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
         self._price: Price | None = None
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
         self.plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=depth)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 
+import pytest
+
+from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns.simlink import INTERFACE
-from tests.all.link.hosts import NEEDS_LINK, ip
+from tests.all.link.hosts import NEEDS_LINK, NODE, ip
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
@@ -71,3 +75,33 @@ def test_a_node_over_tcp_that_arpd_cannot_hear_is_found(hosts):
         return health == "wrong" and "TCPv4 there, UDPv4 here" in text
 
     eventually("the doctor knows that they never meet", judged)
+
+
+@pytest.mark.parametrize("hosts", [{"memory": True}], indirect=True)
+def test_with_large_data_everywhere_all_publishers_are_managed_and_one_without_shared_memory_is_named(hosts):
+    """Three publishers of three processes get a new QoS; the doctor finds a container that has not arpd's memory."""
+    everywhere = {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}
+    hosts.environment |= {"FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE)}
+    topics = {f"/{name}" for name in "abc"}
+    (hosts.folder / "arpd.yaml").write_text("http: {host: 10.77.0.1}\n")
+    hosts.start("robot", "run", "arpd", "run", "--config", "arpd.yaml", **everywhere)
+    hosts.start("base", "peer", "arpd", "peer", **everywhere)
+    for topic in topics:
+        hosts.node("robot", f"talker_{topic[1:]}", f"adapt:{topic}:std_msgs/String:500", **everywhere)
+    hosts.node("base", "reader", *(f"read:{topic}:std_msgs/String" for topic in topics), **everywhere)
+
+    def swapped():
+        found = hosts.call("robot", "arpd", "status", "--json", "--url", "http://10.77.0.1:9464")[0]
+        told = json.loads(found)["topics"] if found else []
+        return {topic["topic"] for topic in told if topic["confirmed"]["swaps_by_result"].get("ok")} == topics
+
+    eventually("all three are swapped", swapped)
+    eventually("their samples arrive", lambda: all(f"{topic} 000000" in hosts.text("reader") for topic in topics))
+    own_memory = ("unshare", "-m", "sh", "-c", 'mount -t tmpfs tmpfs /dev/shm && exec "$@"', "sh")
+    hosts.start("robot", "hermit", *own_memory, sys.executable, str(NODE), "hermit", *CAMERA[2:], **everywhere)
+
+    def judged():
+        health, text = doctor(hosts, "robot", "--listen", "4")["transports"]
+        return health == "wrong" and "node.py and arpd find each other and exchange nothing" in text
+
+    eventually("the doctor names it", judged)

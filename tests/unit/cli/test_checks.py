@@ -29,8 +29,15 @@ def peers(*clocks):
     return Namespace(status=Namespace(peers=[Namespace(peer="base", clock=offset) for offset in offsets]))
 
 
-def announcer(process="talker", *, host="laptop", is_here=False, is_arpds=False, transports=()):
-    return Announcer(host=host, process=process, is_here=is_here, is_arpds=is_arpds, transports=frozenset(transports))
+def announcer(process="talker", *, host="laptop", is_here=False, is_arpds=False, transports=(), memory=None):
+    return Announcer(
+        host=host,
+        process=process,
+        is_here=is_here,
+        is_arpds=is_arpds,
+        transports=frozenset(transports),
+        memory=memory,
+    )
 
 
 def hears(*announcers, has_two_ends=False):
@@ -98,6 +105,24 @@ def test_participants_that_share_no_transport_are_named(own, nodes, remedy):
     judged = checks.transports(hears(*told, *services))
     assert (judged.health == "wrong", bool(judged.remedies)) == (bool(remedy), bool(remedy))
     assert "".join(judged.remedies).startswith(remedy)
+
+
+@pytest.mark.parametrize(
+    ("transport", "memory", "is_cut_off"),
+    [
+        ("TCPv4", (1000, 27, 1), False),
+        ("TCPv4", (1001,), True),
+        ("TCPv4", (1000, 99, 1), True),
+        ("TCPv4", None, False),
+        ("UDPv4", (1001,), False),
+    ],
+)
+def test_a_node_over_tcp_without_arpds_shared_memory_is_named(transport, memory, is_cut_off):
+    """One of another user, or of a container, is found and exchanges nothing; over UDP it does."""
+    service = announcer("arpd", is_here=True, is_arpds=True, transports=[transport], memory=(1000, 27, 1))
+    judged = checks.transports(hears(service, announcer(is_here=True, transports=[transport], memory=memory)))
+    assert (judged.health == "wrong") == is_cut_off
+    assert ("talker" in judged.text) == is_cut_off
 
 
 def test_no_name_from_the_network_stands_in_a_line_to_copy():

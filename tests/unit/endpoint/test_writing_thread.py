@@ -16,9 +16,13 @@ from tests.waiting import eventually
 LONG_S = 5.0
 
 
+def make(warn=print, **options):
+    return WritingThread(PacedQueue(), name="writing", warn=warn, **options)
+
+
 def test_a_turn_that_finds_its_lane_taken_waits_until_it_is_free():
     """While a thread blocks inside a write, nobody wakes up for the swap of its topic; the end of the write does."""
-    thread, lane, calls = WritingThread(PacedQueue(), name="writing"), Lane(lambda _sample: None), []
+    thread, lane, calls = make(), Lane(lambda _sample: None), []
 
     class Swap:
         def service(self, _now_s):
@@ -44,7 +48,7 @@ def test_a_context_that_shuts_down_can_stop_it():
         with context:
             return True
 
-    thread = WritingThread(PacedQueue(), name="writing", is_alive=is_alive)
+    thread = make(is_alive=is_alive)
     with context:
         thread.start()
         assert asked.wait(LONG_S)
@@ -52,3 +56,36 @@ def test_a_context_that_shuts_down_can_stop_it():
         stopping.start()
         stopping.join(LONG_S)
         assert not stopping.is_alive()
+
+
+def test_every_fault_is_said_and_none_again_and_again():
+    """Topics and writes that fail are each named, once a minute however often they are tried again."""
+    words, tries, skipped_s = [], [], 0.0
+    thread = make(words.append, clock=lambda: time.monotonic() + skipped_s)
+
+    class Broken:
+        def __init__(self, topic):
+            self.topic_name = topic
+
+        def service(self, _now_s):
+            tries.append(self.topic_name)
+            raise RuntimeError("out of resources")
+
+    def write(_sample):
+        raise RuntimeError("/c: publishing failed")
+
+    lane = Lane(write)
+    thread.add(lane)
+    thread.offer(lane, b"")
+    for topic in ("/a", "/b"):
+        thread.wake(Broken(topic))
+    thread.start()
+    eventually("they are tried again", lambda: len(tries) > 6)
+    assert sorted(each.split(";")[0] for each in words) == [
+        "/a: out of resources",
+        "/b: out of resources",
+        "/c: publishing failed",
+    ]
+    skipped_s = 60.0
+    eventually("all are said again", lambda: len(words) == 5)
+    thread.stop()

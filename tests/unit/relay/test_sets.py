@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.relay.envelope import Record
-from arpd.relay.sets import Sets, stamp_of
+from arpd.relay.sets import Sets
+from arpd.ros.cdr import stamp_of
 
 
 def sample(member, stamp):

@@ -16,10 +16,11 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.model.observation import MessageRefusal
 from arpd.ros import inbox
+from arpd.ros.cdr import doubles, octets
 from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.price_message import encode_price
-from arpd.ros.raw_reader import Sample, doubles, octets
+from arpd.ros.raw_reader import Sample
 from tests.examples import examples
 from tests.ros.world import FREE
 

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapRecord, WithheldCause
@@ -191,7 +191,11 @@ def test_what_grows_when_it_is_read_is_refused(bomb):
         decode_snapshot(bomb)
 
 
+MANY = [f"/{number}" for number in range(1000)]
+
+
 @given(st.dictionaries(texts, texts, max_size=30), st.lists(texts, max_size=30), texts)
+@example(dict.fromkeys(MANY, "no such type"), MANY, "")
 @examples(40)
 def test_whatever_names_a_relay_has_its_summary_is_understood(named, strangers, fault):
     """Long, many and unprintable names are cut and shown, and words do nothing to a terminal."""
