@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from arpd.daemon.scenario import ScenarioResult
     from arpd.daemon.summary import Summary
     from arpd.model.settings import Settings
-    from arpd.sim.result import TopicResult
-    from arpd.sim.robot import SimTopic
+    from arpd.sim.result import SimTopic, TopicResult
 
     Comparison = Mapping[Way, ScenarioResult]
     Figures = Mapping[str, Callable[[TopicResult], float | None]]

@@ -27,8 +27,7 @@ from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 if TYPE_CHECKING:
     from arpd.model.settings import Settings
     from arpd.sim.link import ForeignFlow
-    from arpd.sim.result import TopicResult
-    from arpd.sim.robot import SimTopic
+    from arpd.sim.result import SimTopic, TopicResult
     from arpd.sim.schedule import RateSchedule
     from arpd.sim.socket import Carrier
 

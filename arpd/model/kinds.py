@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -18,8 +19,9 @@ from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
 from arpd.model.quantities import DURATION, RATE, SIZE, Units, printable
 
 NONE = "none"  # written where there is no value
-_HOST = re.compile(r"(?=.{1,253}\Z)[A-Za-z0-9_](?:[A-Za-z0-9_.-]*[A-Za-z0-9_])?", re.ASCII)
-_ADDRESS = f"an IPv4 address, a host name or {NONE}"
+_LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_HOST = re.compile(rf"(?=.{{1,253}}\Z){_LABEL}(?:\.{_LABEL})*")
+_ADDRESS = f"an IPv4 address of one computer, a host name or {NONE}"
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,10 @@ def address(raw: str) -> str:
     if ":" in raw:
         raise ValueError(f"'{printable(raw)}' is no IPv4 address, and arpd's link is IPv4; write {_ADDRESS}")
     if re.fullmatch(r"[0-9.]+", raw):
-        try:
-            return str(ipaddress.IPv4Address(raw))
-        except ValueError:
-            pass
+        with suppress(ValueError):
+            number = ipaddress.IPv4Address(raw)
+            if not (number.is_unspecified or number.is_multicast):
+                return raw
     elif _HOST.fullmatch(raw):
         return raw
     raise ValueError(f"'{printable(raw)}' is not an address; write {_ADDRESS}")

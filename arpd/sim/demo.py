@@ -11,7 +11,7 @@ from arpd.sim.robot import configured_topics
 
 if TYPE_CHECKING:
     from arpd.model.settings import Settings
-    from arpd.sim.robot import SimTopic
+    from arpd.sim.result import SimTopic
 
 DEMO_CONFIG = Path(__file__).with_name("demo.yaml")
 COMMAND_TOPIC = "/cmd_vel"  # the only actuation topic

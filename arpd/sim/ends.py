@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.price import Price
     from arpd.relay.envelope import Chunk
-    from arpd.sim.result import TopicResult
-    from arpd.sim.robot import SimTopic
+    from arpd.sim.result import SimTopic, TopicResult
     from arpd.sim.socket import Carrier
     from arpd.sim.timeline import Timeline
 

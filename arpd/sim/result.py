@@ -1,4 +1,4 @@
-"""Samples that reach a reader, and the result of one run per topic."""
+"""One topic of the robot: what it is, the samples that reach its reader, and its result over one run."""
 
 from __future__ import annotations
 
@@ -6,14 +6,35 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from arpd.model.endpoints import Direction
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from arpd.model.endpoints import FlowState
-    from arpd.sim.robot import SimTopic
     from arpd.sim.timeline import Timeline
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SimTopic:
+    """One topic of the robot.
+
+    Parameters
+    ----------
+    name : the application's name for it
+    payload_bytes : serialized size of a sample (bytes)
+    rate_hz : rate at which the application publishes (Hz)
+    direction : sensing, actuation, or local: its only reader is on the robot
+    prefix : the relay carries it as ``prefix + name``; empty if its own publisher is adaptive
+    """
+
+    name: str
+    payload_bytes: int
+    rate_hz: float
+    direction: Direction = Direction.SENSING
+    prefix: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.queue import PacedQueue
 from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
-from arpd.sim.result import SAMPLE, Arrivals
+from arpd.sim.result import SAMPLE, Arrivals, SimTopic
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Alarm
 from arpd.sim.writer import SimulatedWriter
@@ -29,26 +29,6 @@ if TYPE_CHECKING:
     from arpd.sim.timeline import Timeline
 
 RCLPY_DEPTH = 10  # the depth in every rclpy tutorial
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SimTopic:
-    """One topic of the robot.
-
-    Parameters
-    ----------
-    name : the application's name for it
-    payload_bytes : serialized size of a sample (bytes)
-    rate_hz : rate at which the application publishes (Hz)
-    direction : sensing, actuation, or local: its only reader is on the robot
-    prefix : the relay carries it as ``prefix + name``; empty if its own publisher is adaptive
-    """
-
-    name: str
-    payload_bytes: int
-    rate_hz: float
-    direction: Direction = Direction.SENSING
-    prefix: str = ""
 
 
 def configured_topics(settings: Settings, *, actuation: Collection[str]) -> tuple[SimTopic, ...]:

@@ -22,8 +22,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import ForeignFlow, LinkModel
-from arpd.sim.result import percentile
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SimTopic, percentile
 from arpd.sim.schedule import LossStep, RateSchedule, RateStep, outages
 from arpd.sim.trace import read_trace
 from scripts.bench.harness import settled_s

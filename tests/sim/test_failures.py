@@ -11,7 +11,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import DefaultPreferences, ProgramSettings, Settings
 from arpd.sim import world
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SimTopic
 from arpd.sim.schedule import RateSchedule
 from tests.sim.watched import watch
 

@@ -8,7 +8,7 @@ from arpd.daemon.scenario import Scenario
 from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings
 from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SimTopic
 from arpd.sim.schedule import RateSchedule, outages
 
 TOPICS = (

@@ -11,7 +11,7 @@ import pytest
 from arpd.model.endpoints import Direction
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SimTopic
 from arpd.sim.schedule import RateSchedule, RateStep
 from tests.sim.watched import MBIT, goodput, queues, watch
 

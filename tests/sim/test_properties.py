@@ -13,7 +13,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.link import LinkModel
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SimTopic
 from arpd.sim.schedule import RateSchedule, RateStep, outages
 from tests.sim.watched import MBIT, Tick, watch
 

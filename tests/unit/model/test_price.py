@@ -88,14 +88,14 @@ def test_weights_that_almost_agree_are_two_classes():
 @examples(100)
 @given(robots(), CAPACITIES, SHARES, OVERHEADS)
 def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):
-    """With room above each source in the ceilings, what the sources publish takes no more than the share."""
+    """With room above each source in the ceilings, what the sources publish takes the share, to a millionth."""
     price = divided(topics, capacity, share, overhead).price
     spent = math.fsum(
         (topic.packets * overhead + topic.wire_bytes / capacity)
         * min(topic.desired_rate_hz, price.rate_hz(row_of(topic, margin=1.25)))
         for topic in topics
     )
-    assert spent <= share * (1 + 1e-9)
+    assert spent <= share * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("change", [{"weight": 0.0}, {"wire_bytes": 0.0}])

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from arpd.model.endpoints import WriterQos
 from arpd.sim.link import LinkModel, SimulatedLink
-from arpd.sim.result import SAMPLE, Arrivals
-from arpd.sim.robot import SimTopic
+from arpd.sim.result import SAMPLE, Arrivals, SimTopic
 from arpd.sim.schedule import RateSchedule
 from arpd.sim.socket import Socket
 from arpd.sim.timeline import Timeline
