@@ -81,7 +81,7 @@ class SimulatedWriter:
     ----------
     socket : of the participant; there samples wait while the queue is full
     back : way of the acknowledgements
-    qos : depth (samples) and deadline (ns); the deadline only changes the count of missed periods
+    qos : depth (samples); the deadline changes nothing here
     heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
     """
 
@@ -89,9 +89,6 @@ class SimulatedWriter:
         self._timeline, self._there, self._back = socket.timeline, socket.carrier, back
         self._socket = socket
         self._depth = qos.depth
-        self._deadline_s = qos.deadline_ns / 1e9 or math.inf
-        self._published_s = math.inf  # time of the last sample
-        self._missed = 0
         self._heartbeat_s = heartbeat_s
         self._reader = _Reader(sink)
         self._history: dict[int, bytes] = {}
@@ -104,7 +101,6 @@ class SimulatedWriter:
 
     def publish(self, sample: bytes) -> None:
         """Write one sample; a full history drops its oldest sample, acknowledged or not."""
-        self._missed, self._published_s = self.deadlines_missed(), self._timeline.now_s
         self._last += 1
         self._history[self._last] = sample
         if len(self._history) > self._depth:
@@ -132,8 +128,8 @@ class SimulatedWriter:
         return self._acknowledged >= self._last
 
     def deadlines_missed(self) -> int:
-        """Return the number of periods without a sample, counted from the first sample on, as in Fast DDS."""
-        return self._missed + int(max(0.0, self._timeline.now_s - self._published_s) / self._deadline_s)
+        """Return 0, because nothing that is simulated looks."""
+        return 0
 
     def destroy(self) -> None:
         """Stop resending; samples on the link still arrive."""

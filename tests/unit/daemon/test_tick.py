@@ -1,11 +1,13 @@
 """The daemon over a world that follows its calls, some of them late."""
 
 import math
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from arpd.daemon.run import new_durations
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
@@ -162,6 +164,25 @@ def test_it_plans_twice_a_second_and_at_once_on_news():
     link.state = LinkState.OUTAGE
     daemon.tick(1.0 - 0.05)
     assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (3, 11)
+
+
+def test_every_duration_goes_to_its_histogram():
+    """Ticks, their lateness and solves of the whole program are those that `arpd run` has histograms for."""
+    world, told = Robot(), Counter()
+    world.change(source_rate_hz=100.0, remote_readers=1)
+    daemon: Any = Daemon(
+        world,
+        Settings(),
+        interface="lo",
+        clock=lambda: 0.0,
+        estimator=KnownLink(),
+        timed=lambda name, _took_s: told.update([name]),
+    )
+    for tick in range(10):
+        daemon.record.note_lateness(0.0)
+        daemon.tick(0.1 * tick)
+    assert told == {"tick_lateness": 10, "tick_duration": 10, "solve_duration": 2}
+    assert told.keys() == new_durations().keys()
 
 
 def test_the_price_follows_the_link_within_a_tick():
