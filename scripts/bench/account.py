@@ -141,6 +141,7 @@ class Account:
                 ),
                 "p99_ms": percentile(latencies, 0.99),
                 "max_ms": max(latencies, default=None),
+                "age_p99_s": max(each["age_p99_s"] for each in members.values()),
                 "gap_over_period_s": max(
                     each["gap_s"] - 1.0 / min(topic.rate_hz for topic in self._sources[name].values())
                     for name, each in members.items()

@@ -2,8 +2,9 @@
 
 Real rclpy nodes publish real messages: a process for each node of the robot, one that reads its commands, and one each
 for the commands and the readers of the base. Bottlenecks: `sender` is a token bucket with a queue of 256 kB on the
-interface of each host, as a Pi's Wi-Fi; `middle` is the same between the hosts. A sample is small up to ten packets.
-Camera infos are in no class, because they are of no use without their image: whole sets count.
+interface of each host, as a Pi's Wi-Fi; `middle` is the same between the hosts. A sample is small up to ten packets;
+the age of large ones is that of the newest at the reader, because the latency of those that came says nothing of the
+rest. Camera infos are in no class, because they are of no use without their image: whole sets count.
 """
 
 from __future__ import annotations
@@ -167,7 +168,7 @@ def measured(
         "commands %": commands.get("delivered_percent"),
         "commands p99 ms": commands.get("p99_ms"),
         "commands max ms": commands.get("max_ms"),
-        "large p99 ms": large.get("p99_ms"),
+        "large age p99 s": large.get("age_p99_s"),
         "large/s": large.get("per_second"),
         "whole sets/s": account.sets_per_second() if about.groups else None,
         "Mbit/s": spent["to_base_mbit"],
