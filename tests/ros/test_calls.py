@@ -1,5 +1,6 @@
 """Services and actions across the link with real rclpy: two ends, each in a domain of its own, and nodes on both."""
 
+import signal
 import time
 from contextlib import ExitStack
 
@@ -196,16 +197,20 @@ def test_a_restarted_end_fails_calls_and_serves_again(world, eventually):
     assert doubler.runs.count(3) == 1
 
 
-def test_calls_of_an_end_that_is_away_fail(world, eventually):
-    """Every caller hears of it, and then the services are not there; without an answer a call would wait for ever."""
+@pytest.mark.parametrize(("end", "how"), [("robot", signal.SIGKILL), ("base", signal.SIGTERM)])
+def test_calls_of_an_end_that_goes_fail(world, eventually, end, how):
+    """Whichever end it is, every caller hears of it, and no service is there then; else it would wait for ever."""
     ends = world("services: [/**]").start()
     servers = [silent_server(ends, "robot", f"/camera_{number}") for number in range(8)]
+    Doubler(ends.side("robot").node("calculator"))
     user = ends.side("base").node("user")
     clients = [user.create_client(SetCameraInfo, server.srv_name) for _, server in servers]
-    for client in clients:
+    other = user.create_client(BasicTypes, "/double")
+    for client in (*clients, other):
         eventually("its service crosses", client.service_is_ready)
     futures = [client.call_async(SetCameraInfo.Request()) for client in clients]
-    ends.end("robot")
+    assert doubled(other, 3, eventually) == 6  # so those before it have arrived, too
+    ends.end(end, how)
     words = {finished(eventually, future).status_message for future in futures}
     assert words == {"arpd relay: the other end became unreachable"}
     for client in clients:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _STEP_S, _LOOK_S = 0.1, 0.5
+_LAST_S = 0.1  # a client that hears that its server goes drops responses that it has not read
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
 _REFUSED = (UnknownTypeError, NameValidationException, RuntimeError, ValueError)
 
@@ -94,6 +95,9 @@ class Calls:
         """Fail the calls that are under way, and remove all servers and clients."""
         self.thread.stop()
         self._follow({}, None)
+        for ghost in self._ghosts.values():
+            ghost.flush()
+        time.sleep(_LAST_S)
         for each in (*self._ghosts.values(), *self._clients.values()):
             each.destroy()
 
@@ -159,7 +163,7 @@ class Calls:
         for name in leaving:
             reason = refused.get(name, "the other end offers it no more")
             self._book.fail(name, f"{reason}; the call may have run")
-            if name in self._leaving:  # else a client that hears that its server goes would drop the last responses
+            if name in self._leaving:  # its last responses have arrived
                 self._ghosts.pop(name).destroy()
         self._leaving = self._ghosts.keys() & leaving
         for name in new:
