@@ -246,6 +246,9 @@ class CallBook:
             record = _outcome_record(call, failure)
         self._calls[call] = record
         self._repeat(call)
+        self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
         for each in [each for each, kept in self._calls.items() if kept is not None][:-MOST_CALLS]:
             del self._calls[each]
 
@@ -253,6 +256,7 @@ class CallBook:
         if call in self._calls:
             self._repeat(call)
             return
+        self._forget_oldest()  # those that were given up, too
         running = sum(record is None for record in self._calls.values())
         self._calls[call] = None
         if running < MOST_CALLS:

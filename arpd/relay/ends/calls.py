@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _STEP_S, _LOOK_S = 0.1, 0.5
 _LAST_S = 0.1  # a client that hears that its server goes drops responses that it has not read
+_PAUSE_S, _MOST_LAST_S = 0.005, 1.0  # an end is to stop within 2 s
+_NO_MORE = "the other end offers it no more"
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
 _REFUSED = (UnknownTypeError, NameValidationException, RuntimeError, ValueError)
 
@@ -95,8 +97,11 @@ class Calls:
         """Fail the calls that are under way, and remove all servers and clients."""
         self.thread.stop()
         self._follow({}, None)
-        for ghost in self._ghosts.values():
-            ghost.flush()
+        ghosts, until_s = [*self._ghosts.values()], time.monotonic() + _MOST_LAST_S
+        while not all(ghost.is_idle for ghost in ghosts) and (now_s := time.monotonic()) < until_s:
+            for ghost in ghosts:
+                ghost.release(now_s)
+            time.sleep(_PAUSE_S)
         time.sleep(_LAST_S)
         for each in (*self._ghosts.values(), *self._clients.values()):
             each.destroy()
@@ -161,9 +166,8 @@ class Calls:
         new = accepted.keys() - self._ghosts.keys()
         leaving = [name for name, ghost in self._ghosts.items() if accepted.get(name) != ghost.offer]
         for name in leaving:
-            reason = refused.get(name, "the other end offers it no more")
-            self._book.fail(name, f"{reason}; the call may have run")
-            if name in self._leaving:  # its last responses have arrived
+            self._book.fail(name, f"{refused.get(name, _NO_MORE)}; the call may have run")
+            if name in self._leaving and self._ghosts[name].is_idle:  # its last responses have arrived
                 self._ghosts.pop(name).destroy()
         self._leaving = self._ghosts.keys() & leaving
         for name in new:
@@ -188,6 +192,10 @@ class Calls:
     def _call(self, name: str, message: Any, header: Any) -> None:
         """Pass a request of a node on this side to the other end."""
         ghost = self._ghosts[name]
+        if name in self._leaving and self._session_there is not None:
+            if name not in self.refused:  # else the server on this side answers
+                self._end(name, ghost, header, CallFailure(FailureReason.NO_SERVER, _NO_MORE))
+            return
         self._book.call(
             Request(name, ghost.offer.type_name, bytes(serialize_message(message))),
             timeout_s=math.inf if name.endswith(_GET_RESULT) else self._timeout_s,

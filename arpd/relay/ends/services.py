@@ -61,6 +61,11 @@ class _Endpoint(Inlet):
             self._room -= self._leave(*self._waiting.popleft())
         return self._burst_s if self._waiting else math.inf
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no message waits."""
+        return not self._waiting
+
     def destroy(self) -> None:
         """Remove it; nothing is read any more."""
         self._thread.unwatch(self, self._event)
@@ -164,7 +169,8 @@ class LocalClient(_Endpoint):
         return 1
 
     def forget_given_up(self) -> None:
-        """Forget the calls whose outcome nobody awaits."""
+        """Forget the calls whose outcome nobody awaits, also those that wait for a server that never matches."""
+        self._waiting = deque(each for each in self._waiting if self._book.runs(each[0]))
         self._running = {number: call for number, call in self._running.items() if self._book.runs(call)}
 
     def destroy(self) -> None:

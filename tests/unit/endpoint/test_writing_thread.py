@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from arpd.endpoint import writing_thread
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
@@ -56,6 +57,27 @@ def test_a_context_that_shuts_down_can_stop_it():
         stopping.start()
         stopping.join(LONG_S)
         assert not stopping.is_alive()
+
+
+def test_a_stop_between_two_turns_is_not_missed(monkeypatch):
+    """A thread that is stopped before it waits does not wait: the shutdown of a context would take a second longer."""
+    monkeypatch.setattr(writing_thread, "_IDLE_S", 100.0 * LONG_S)
+    asked, may_go = threading.Event(), threading.Event()
+
+    def is_alive():
+        asked.set()
+        return may_go.wait(LONG_S)
+
+    thread = make(is_alive=is_alive)
+    thread.start()
+    assert asked.wait(LONG_S)
+    stopping = threading.Thread(target=thread.stop, daemon=True)
+    stopping.start()
+    eventually("it is stopped", lambda: thread._is_stopping)
+    may_go.set()
+    thread._thread.join(LONG_S)
+    assert not thread._thread.is_alive()
+    stopping.join(LONG_S)
 
 
 def test_every_fault_is_said_and_none_again_and_again():

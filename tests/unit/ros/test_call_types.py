@@ -110,6 +110,19 @@ def test_no_request_leaves_before_its_server_can_know_the_client(world, client):
     assert [[*sent_at(now_s)] for now_s in (100.5, 100.7, 100.9)] == [[], [], [1]]
 
 
+def test_requests_that_were_given_up_do_not_wait_for_a_server_that_never_matches(world, client):
+    """Each would keep its bytes, and the thread awake, for as long as the service is offered."""
+    world.is_there = False
+    for number in (1, 200, 201):
+        client.send(number, request(number))
+    client.forget_given_up()
+    assert len(client._waiting) == 1
+    client._waiting.clear()
+    client.send(202, request(202))
+    client.forget_given_up()
+    assert client.release(100.0) == math.inf
+
+
 def test_requests_leave_five_at_a_time_and_one_that_cannot_be_sent_fails_alone(world, client):
     """Of hundreds that wait each leaves once and in order, but for those that were given up meanwhile."""
     world.refused = {3}
