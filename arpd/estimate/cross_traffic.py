@@ -45,6 +45,7 @@ class CrossTraffic:
         self._told_s = math.inf  # last announcement of the publisher that was silent for longest (s)
         self._relay: tuple[float, RelaySummary] | None = None  # when it was told first (s)
         self._known_from_s = math.inf
+        self._resent_until_s, self._most = -math.inf, math.inf
         self._rate = 0.0
 
     def update(self, observation: Observation) -> float:
@@ -64,21 +65,25 @@ class CrossTraffic:
             self._told_s = min(told_s, default=math.inf)
         if self._relay is None:
             end_s = min(end_s, self._told_s)
+        if end_s - _WINDOW_S >= self._resent_until_s:
+            self._most = math.inf
         if end_s - _WINDOW_S < self._known_from_s:
             self._rate = 0.0
         else:
             carried, sent, probes = (bins.before(end_s) for bins in (self._carried, self._sent, self._probes))
             unexplained = (carried - (1.0 + _TOPICS_ALLOWANCE) * sent - probes) / _WINDOW_S
-            self._rate = max(0.0, unexplained - _CHATTER_BYTES_PER_SECOND)
+            self._rate = min(self._most, max(0.0, unexplained - _CHATTER_BYTES_PER_SECOND))
         return self._rate
 
     def note_probe(self, request: ProbeRequest, now_s: float, *, peers: int) -> None:
         """Note a probe of ours: before the first estimate, trains exceed every allowance."""
         self._probes.add(now_s, now_s, peers * request.packets * probe_wire_bytes(request.packet_bytes))
 
-    def ignore(self, until_s: float) -> None:
-        """Ignore what crosses before then: after an outage, much of what it took is sent again."""
-        self._known_from_s = max(self._known_from_s, until_s)
+    def bound(self, until_s: float) -> None:
+        """Let what crosses before then show no more than was known: after an outage, what it took is sent again."""
+        self._resent_until_s = until_s
+        if math.isinf(self._most):
+            self._most = self._rate
 
     def probe_bytes(self, since_s: float) -> float:
         """Return the bytes of the probes since then (bytes)."""

@@ -127,7 +127,7 @@ class Estimator:
             self._forget_queue()
             self._state = self._judge_alone(now_s, observation.counters)
         if self._state is LinkState.OUTAGE:
-            self._cross_traffic.ignore(now_s + parameters.RESENDS_S)
+            self._cross_traffic.bound(now_s + parameters.RESENDS_S)
         return self._estimate(now_s, cross_traffic)
 
     def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:

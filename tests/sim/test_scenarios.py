@@ -202,6 +202,15 @@ def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
     assert max(moment.cross_traffic_bytes_per_second / moment.truth_bytes_per_second for moment in moments) < 0.05
 
 
+def test_an_outage_does_not_hide_cross_traffic():
+    """It keeps its room through outages of 0.6 s every 5 s, and no queue of it and of arpd's topics stands."""
+    cuts = outages(*((20.0 + 5.0 * k, 20.6 + 5.0 * k) for k in range(5)))
+    result = play("0:10mbit", 45.0, losses=cuts, foreign=(flow(5.0, 60.0, 4.0),))
+    seen = between(result.moments, 21.0, 45.0)
+    assert min(moment.cross_traffic_bytes_per_second for moment in seen) > 0.5 * 4.0 * MBIT
+    assert sorted(moment.queue_delay_s for moment in seen)[round(0.95 * len(seen))] < 0.08
+
+
 def test_an_upload_gets_room_and_gives_it_back():
     """The budget makes room for 2 Mbit/s on a link of 5 within five seconds, and takes it back afterwards."""
     result = play("0:5mbit", 50.0, foreign=UPLOAD)
