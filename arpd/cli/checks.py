@@ -19,6 +19,7 @@ from arpd.ros.profile import profile_line
 from arpd.ros.rmw import Rmw
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from arpd.cli.here import Here
@@ -197,6 +198,11 @@ def discovery(here: Here) -> Finding:
     )
 
 
+def _may_share(memory: tuple[int, ...], shared: Iterable[tuple[int, ...]]) -> bool:
+    """Return whether a process may share memory with one of others; of some nothing but the user is known."""
+    return any(all(one == other for one, other in zip(memory, each, strict=False)) for each in shared)
+
+
 def transports(here: Here) -> Finding:
     """Judge whether all participants can tell each other of their topics.
 
@@ -209,8 +215,8 @@ def transports(here: Here) -> Finding:
     own = [one.transports for one in told if one.is_arpds]
     ((usual, _number),) = Counter(own or [one.transports for one in told]).most_common(1)
     if not (apart := [one for one in told if not one.transports & usual]):
-        memory = {one.memory for one in told if one.is_arpds} - {None}
-        hidden = {one.process for one in told if one.memory and memory and one.memory not in memory}
+        shared = [one.memory for one in told if one.is_arpds and one.memory]
+        hidden = {one.process for one in told if one.memory and shared and not _may_share(one.memory, shared)}
         if not hidden or not any(name.startswith("TCP") for name in usual):
             return fine(f"all participants share {listed(sorted(usual))}")
         return wrong(

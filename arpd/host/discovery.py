@@ -46,7 +46,7 @@ class Announcer:
     is_here : whether it runs on this computer
     is_arpds : whether it is a process of arpd's; never known of another computer's
     transports : over what it tells of its topics, as "UDPv4"; empty = not known
-    memory : what it has in common with all that share memory with it; None = not known, or of another computer
+    memory : its user, and where they may be seen, the numbers of its /dev/shm; None = not known, or of another computer
     """
 
     host: str

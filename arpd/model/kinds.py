@@ -103,7 +103,7 @@ def address(raw: str) -> str:
     if re.fullmatch(r"[0-9.]+", raw):
         with suppress(ValueError):
             number = ipaddress.IPv4Address(raw)
-            if not (number.is_unspecified or number.is_multicast):
+            if not (number.is_unspecified or number.is_multicast or number.is_reserved):
                 return raw
     elif _HOST.fullmatch(raw):
         return raw

@@ -119,8 +119,8 @@ class Service:
     def when(self, size: float) -> float:
         """Return the first moment by which the link can have carried so many bytes, ``inf`` = never (s)."""
         if size > self._period_bytes:
-            turns, size = divmod(size, self._period_bytes)
-            return turns * self._period_s + self.when(size)
+            turns = math.ceil(size / self._period_bytes) - 1  # whole ones before the byte asked for
+            return turns * self._period_s + self.when(size - turns * self._period_bytes)
         i = max(0, bisect_left(self._bytes, size) - 1)
         base, start_s, rate = self._bytes[i], self._starts[i], self._rates[i]
         if not rate:  # no further byte after the last step; all earlier ones at its start

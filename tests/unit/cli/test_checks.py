@@ -108,18 +108,19 @@ def test_participants_that_share_no_transport_are_named(own, nodes, remedy):
 
 
 @pytest.mark.parametrize(
-    ("transport", "memory", "is_cut_off"),
+    ("transport", "memory", "of_arpd", "is_cut_off"),
     [
-        ("TCPv4", (1000, 27, 1), False),
-        ("TCPv4", (1001,), True),
-        ("TCPv4", (1000, 99, 1), True),
-        ("TCPv4", None, False),
-        ("UDPv4", (1001,), False),
+        ("TCPv4", (1000, 27, 1), (1000, 27, 1), False),
+        ("TCPv4", (1001,), (1000, 27, 1), True),
+        ("TCPv4", (1000, 99, 1), (1000, 27, 1), True),
+        ("TCPv4", None, (1000, 27, 1), False),
+        ("TCPv4", (1000, 27, 1), (1000,), False),
+        ("UDPv4", (1001,), (1000, 27, 1), False),
     ],
 )
-def test_a_node_over_tcp_without_arpds_shared_memory_is_named(transport, memory, is_cut_off):
-    """One of another user, or of a container, is found and exchanges nothing; over UDP it does."""
-    service = announcer("arpd", is_here=True, is_arpds=True, transports=[transport], memory=(1000, 27, 1))
+def test_a_node_over_tcp_without_arpds_shared_memory_is_named(transport, memory, of_arpd, is_cut_off):
+    """One of another user, or of a container, exchanges nothing; who is not root sees of a service only its user."""
+    service = announcer("arpd", is_here=True, is_arpds=True, transports=[transport], memory=of_arpd)
     judged = checks.transports(hears(service, announcer(is_here=True, transports=[transport], memory=memory)))
     assert (judged.health == "wrong") == is_cut_off
     assert ("talker" in judged.text) == is_cut_off

@@ -220,6 +220,7 @@ ONE_FAULT = [
     ("relay: {link_domain: 77, robot: a..local}", "1:33: relay.robot", "'a..local' is not an address; write"),
     ("relay: {link_domain: 77, robot: 0.0.0.0}", "1:33: relay.robot", "'0.0.0.0' is not an address"),
     ("relay: {link_domain: 77, robot: 239.0.0.1}", "1:33: relay.robot", "'239.0.0.1' is not an address"),
+    ("relay: {link_domain: 77, robot: 255.255.255.255}", "1:33: relay.robot", "'255.255.255.255' is not an address"),
     ("relay: {link_domain: 77, base: fd00::1}", "1:32: relay.base", "no IPv4 address, and arpd's link is IPv4"),
     (ENDS + "namespace: r1}", "1:47: relay.namespace", "write /r1"),
     (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "holds arpd's own topics"),
