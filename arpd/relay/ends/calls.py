@@ -22,7 +22,7 @@ from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import ReadingThread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rclpy.node import Node
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _STEP_S, _LOOK_S = 0.1, 0.5
 _LAST_S = 0.1  # a client that hears that its server goes drops responses that it has not read
-_PAUSE_S, _MOST_LAST_S = 0.005, 1.0  # an end is to stop within 2 s
+_MOST_LAST_S = 1.0  # for responses to leave: an end is to stop within 2 s
 _NO_MORE = "the other end offers it no more"
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
 _REFUSED = (UnknownTypeError, NameValidationException, RuntimeError, ValueError)
@@ -97,11 +97,9 @@ class Calls:
         """Fail the calls that are under way, and remove all servers and clients."""
         self.thread.stop()
         self._follow({}, None)
-        ghosts, until_s = [*self._ghosts.values()], time.monotonic() + _MOST_LAST_S
-        while not all(ghost.is_idle for ghost in ghosts) and (now_s := time.monotonic()) < until_s:
-            for ghost in ghosts:
-                ghost.release(now_s)
-            time.sleep(_PAUSE_S)
+        until_s = time.monotonic() + _MOST_LAST_S
+        while (due_s := _released(self._ghosts.values(), now_s := time.monotonic())) < until_s:
+            time.sleep(max(0.0, due_s - now_s))
         time.sleep(_LAST_S)
         for each in (*self._ghosts.values(), *self._clients.values()):
             each.destroy()
@@ -126,7 +124,7 @@ class Calls:
                 self._look_s = now_s + _LOOK_S
                 self._look()
             self._book.step(now_s)
-        return min([self._step_s, *(each.release(now_s) for each in (*self._ghosts.values(), *self._clients.values()))])
+        return min(self._step_s, _released((*self._ghosts.values(), *self._clients.values()), now_s))
 
     # -- calls of this side
 
@@ -234,3 +232,8 @@ class Calls:
             self._clients[name].send(call, request.body)
         except _REFUSED as error:
             self._book.finish(call, CallFailure(FailureReason.TYPE, str(error)))
+
+
+def _released(endpoints: Iterable[GhostServer | LocalClient], now_s: float) -> float:
+    """Let leave what may; return when more may (s)."""
+    return min((each.release(now_s) for each in endpoints), default=math.inf)

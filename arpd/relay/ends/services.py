@@ -113,14 +113,10 @@ class GhostServer(_Endpoint):
             log.warning("a response of %s cannot be sent: %s", self.name, error)
         return 1
 
-    def flush(self) -> None:
-        """Send all responses that wait, now."""
-        while self._waiting:
-            self._leave(*self._waiting.popleft())
-
     def destroy(self) -> None:
         """Send what waits, and remove the server, so that clients see at once that the service is not there."""
-        self.flush()
+        while self._waiting:
+            self._leave(*self._waiting.popleft())
         super().destroy()
         self._node.destroy_service(self._server)
 
