@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd import __version__
 from arpd.daemon.record import Record
@@ -139,8 +139,9 @@ class Daemon:
         return self._planned.decision
 
     def _observe(self, now_s: float) -> Observation:
-        pinned: dict[str, Any] = {name: n for name, n in asdict(self.settings.graph).items() if n is not None}
-        seen = replace(self._world.observe(now_s), **pinned)
+        seen = self._world.observe(now_s)
+        if pinned := self.settings.graph.pinned:
+            seen = replace(seen, **pinned)
         if self._began_s is None:
             self._began_s = now_s
         if seen.counters is not None:

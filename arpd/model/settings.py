@@ -145,6 +145,11 @@ class GraphSettings(Section):
     sensing_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
     actuation_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
 
+    @property
+    def pinned(self) -> dict[str, Any]:
+        """The counts that are given, by the names that an observation has for them."""
+        return {each.name: count for each in fields(self) if (count := getattr(self, each.name)) is not None}
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Preferences(Section):
