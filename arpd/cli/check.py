@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +60,7 @@ def _check(options: argparse.Namespace) -> int:
         return 0
     for warning in warnings:
         print(f"{options.file}: {warning}", file=sys.stderr)
-    defaults = replace(Settings(), topics=tuple(TopicSettings(name=topic.name) for topic in settings.topics))
+    defaults = Settings(topics=tuple(TopicSettings(name=topic.name) for topic in settings.topics))
     differing = changes(defaults, settings)
     print(f"OK (topics: {len(settings.topics)}, keys that differ from the default: {len(differing)})")
     for key, change in differing.items():

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import re
 
 from arpd.cli.options import Command, add_config, config_of
 from arpd.model.quantities import printable
+from arpd.ros.names import is_full_name
 
 _LEVELS = ("debug", "info", "warning", "error")
 _RUN = """\
@@ -68,7 +68,7 @@ def _add_relay(parser: argparse.ArgumentParser) -> None:
 
 
 def _node_name(word: str) -> str:
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{,254}", word):
+    if "/" in word or not is_full_name(f"/{word}"):
         raise argparse.ArgumentTypeError(f"{printable(word)} is no name of a ROS node; write letters, digits and _")
     return word
 

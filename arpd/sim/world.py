@@ -162,7 +162,7 @@ class SimulatedWorld:
     def set_price(self, price: Price) -> None:
         """Send the price to every publisher; best effort, as on the real topic."""
         for node in self._nodes:
-            self._reach(node, _PRICE_BYTES, partial(self._on_price, node, price))
+            node.there.send(_PRICE_BYTES, 1, partial(self._on_price, node, price))
 
     def apply(self, plan: QosPlan, *, lease_s: float, missing: Collection[str], now_s: float) -> None:
         """Send a new plan at once, and an unconfirmed one again after a while."""
@@ -171,7 +171,7 @@ class SimulatedWorld:
             return
         self._asked_generation, self._asked_at_s = plan.generation, now_s
         for node in self._nodes:
-            self._reach(node, _PLAN_BYTES, partial(self._on_plan, node, plan, lease_s))
+            node.there.send(_PLAN_BYTES, 1, partial(self._on_plan, node, plan, lease_s))
 
     def stand_by(self) -> None:
         """Do nothing: no other daemon is simulated."""
@@ -185,9 +185,6 @@ class SimulatedWorld:
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
 
     # -- on the nodes
-
-    def _reach(self, node: _Node, wire_bytes: int, deliver: Callable[[], None]) -> None:
-        node.there.send(wire_bytes, 1, deliver)
 
     def _on_price(self, node: _Node, price: Price) -> None:
         node.price, node.price_at_s = price, self._timeline.now_s

@@ -203,8 +203,8 @@ def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
 
     sides = []
     with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
-        for is_managed, way in enumerate((Way.WITHOUT, Way.ARPD)):
-            shown(float(is_managed), "with arpd" if is_managed else "without arpd")
+        for done, way in enumerate((Way.WITHOUT, Way.ARPD)):
+            shown(float(done), "with arpd" if way is Way.ARPD else "without arpd")
             sides.append(Scenario(demo_settings(), schedule, duration_s, way=way).play().topics)
     return pair_up(*sides)
 
