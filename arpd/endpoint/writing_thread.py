@@ -228,7 +228,7 @@ class WritingThread:
                 if act is None:
                     now_s = self.finished_s = self._clock()
                     self._next_s = min(now_s + _IDLE_S, self._due_s(now_s))
-                    if self._next_s > now_s and not self._is_stopping:  # which nobody wakes for any more
+                    if self._next_s > now_s and not self._is_stopping:  # `stop` may have come since
                         self._changed.wait(self._next_s - now_s)
                     self._next_s = 0.0  # nobody need wake a thread that is awake
                     continue

@@ -29,9 +29,9 @@ _REST = 3.0  # times the work of a document passes before the next
 class Documents:
     """The documents of the daemon.
 
-    Python runs one thread at a time, so whoever makes a large document slows the tick down. They are made one after the
-    other, and those who ask meanwhile get what is in the making: in pieces of milliseconds, with a wait between two of
-    them while a tick runs, for a second in all, because metrics matter most when ticks hang.
+    Python runs one thread at a time, so making a large document slows the tick down. Documents are made one after the
+    other, and those who ask meanwhile share the one that is being made. Its pieces take milliseconds and wait while a
+    tick runs: for a second in all, because metrics matter most when ticks hang.
 
     Parameters
     ----------
