@@ -1,11 +1,12 @@
 """List the benchmarks, run them, and write docs/results.md from what they found.
 
 Usage: python -m scripts.bench                                  list them, with the date of each
-       python -m scripts.bench NAME …|all [--quick] [--again]   run those that this commit has not been measured by
+       python -m scripts.bench NAME …|all [--quick|--full] [--again]   run those that this tree was not measured by
        python -m scripts.bench --docs                           only write docs/results.md and README.md's table
 
 Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed
-is void, and is not kept. With --quick, --tree or, but for robots, --only nothing is kept but in --out.
+is void, and is not kept. With --quick, --tree or, but for robots, --only nothing is kept but in --out. --full has
+more rounds, seeds and sizes, for hours.
 """
 
 from __future__ import annotations
@@ -21,35 +22,38 @@ from scripts.bench.harness import conditions, watched
 from scripts.bench.report import RESULTS, Summary, write_pages
 from scripts.bench.world import TREE
 
-#: By name: module and function that return the summary, about how many minutes it takes, and those of the short form.
+#: By name: module and function that return the summary, about how many minutes it takes, and those of the quick form.
 SCENARIOS = {
-    "demo": ("demo.play", 2, 2, "does the demo show what arpd is for?"),
+    "demo": ("demo.play", 1.5, 1.5, "does the demo show what arpd is for?"),
     "adapt": ("adapt.play", 170, 1, "how do latency, age and loss compare on links that change?"),
     "robots": ("robots.play", 36, 1.5, "how do other robots, bottlenecks and transports fare?"),
-    "paper": ("paper.play", 45, 1.5, "does the paper's optimum hold with real ROS 2?"),
-    "swap": ("swap.play", 30, 1.5, "what does a change of QoS lose?"),
-    "faults": ("faults.play", 22, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
-    "cost": ("cost.play_topics", 10, 1, "what do 12 to 1,000 topics cost?"),
-    "pi": ("cost.play_pi", 12, 1, "does a Raspberry Pi suffice?"),
-    "relay": ("cost.play_relay", 12, 1, "what does a relayed message cost?"),
-    "rest": ("cost.play_rest", 12, 1, "what does a link carry at rest?"),
-    "http": ("cost.play_http", 3, 1, "do scrapes and idle clients delay ticks?"),
-    "estimate": ("estimate.play", 12, 1, "how good is the estimate beside the bound, in virtual time?"),
-    "solve": ("solve.play", 1, 0.5, "how fast is a plan?"),
-    "fuzz": ("fuzz.play", 12, 1, "does foreign input crash a reader?"),
+    "paper": ("paper.play", 5, 1.5, "does the paper's optimum hold with real ROS 2?"),
+    "swap": ("swap.play", 4, 1.5, "what does a change of QoS lose?"),
+    "faults": ("faults.play", 6, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
+    "cost": ("cost.play_topics", 5, 1, "what do 12 to 1,000 topics cost?"),
+    "pi": ("cost.play_pi", 4, 1, "does a Raspberry Pi suffice?"),
+    "relay": ("cost.play_relay", 4, 1, "what does a relayed message cost?"),
+    "rest": ("cost.play_rest", 3, 1, "what does a link carry at rest?"),
+    "http": ("cost.play_http", 1.5, 1, "do scrapes and idle clients delay ticks?"),
+    "estimate": ("estimate.play", 4, 1, "how good is the estimate beside the bound, in virtual time?"),
+    "solve": ("solve.play", 0.5, 0.5, "how fast is a plan?"),
+    "fuzz": ("fuzz.play", 3, 0.5, "does foreign input crash a reader?"),
 }
 #: Scenarios of which each part is kept, and how many cells of a row name it.
 PARTS = {"robots": 4}
+FULL_ROUNDS = 3
 
 
 def is_known(name: str) -> bool:
-    """Return whether this commit has been measured by a benchmark."""
+    """Return whether a benchmark has measured this tree; without git nobody knows which one it is."""
     path, now = RESULTS / f"{name}.json", conditions()
-    kept = Summary.read(path).conditions if path.exists() else [{"commit": "", "is_modified": True}]
-    return not any(each["is_modified"] or each["commit"] != now["commit"] for each in [now, *kept])
+    kept = Summary.read(path).conditions if path.exists() else []
+    return bool(kept and now["tree"]) and not any(
+        each["is_modified"] or each.get("tree") != now["tree"] for each in (now, *kept)
+    )
 
 
-def is_valid(name: str, *, is_quick: bool, only: str, is_part: bool, out: Path | None) -> bool:
+def is_valid(name: str, *, is_quick: bool, is_full: bool, only: str, is_part: bool, out: Path | None) -> bool:
     """Run a benchmark, print its summary and keep it; return whether it is, unless it is a short form, valid."""
     plays, *minutes, _ = SCENARIOS[name]
     module, _, function = plays.partition(".")
@@ -57,7 +61,8 @@ def is_valid(name: str, *, is_quick: bool, only: str, is_part: bool, out: Path |
     began_s = time.monotonic()
     with watched() as noted:
         play = getattr(importlib.import_module(f"scripts.bench.{module}"), function)
-        summary: Summary = play(is_quick=is_quick, **({"only": only} if only else {}))
+        more = ({"only": only} if only else {}) | ({"rounds": FULL_ROUNDS} if is_full else {})
+        summary: Summary = play(is_quick=is_quick, **more)
     summary.conditions.append(noted | ({"of": only} if only else {}))
     print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
     path = (out or RESULTS) / f"{name}.json"
@@ -75,7 +80,7 @@ def listed() -> str:
         path = RESULTS / f"{name}.json"
         kept = Summary.read(path).conditions if path.exists() else []
         when = ", ".join(f"{one['date']} at {one['commit'][:7]}" for one in kept) or "never"
-        lines.append(f"{name:9} {minutes:4.0f} min  {question}  ({when})")
+        lines.append(f"{name:9} {minutes:4g} min  {question}  ({when})")
     return "\n".join(lines)
 
 
@@ -85,7 +90,8 @@ def main() -> int:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "all"]))
     parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
-    parser.add_argument("--again", action="store_true", help="also what this commit has been measured by")
+    parser.add_argument("--full", action="store_true", help="the long forms: more rounds, seeds and sizes")
+    parser.add_argument("--again", action="store_true", help="also those that this tree was measured by")
     parser.add_argument(
         "--only",
         default="",
@@ -108,8 +114,10 @@ def main() -> int:
     wrong = []
     for name in names:
         if not (is_part or options.again or options.only) and is_known(name):
-            print(f"{name}: this commit has been measured")
-        elif not is_valid(name, is_quick=options.quick, only=options.only, is_part=is_part, out=options.out):
+            print(f"{name}: this tree has been measured")
+        elif not is_valid(
+            name, is_quick=options.quick, is_full=options.full, only=options.only, is_part=is_part, out=options.out
+        ):
             wrong.append(name)
     if options.docs or (names and not (is_part or options.out)):
         write_pages()

@@ -11,9 +11,9 @@ from scripts.robot.demo import QUICK, TAIL_S, compare_for_real
 from scripts.robot.report import HEADINGS, row_of
 
 
-def play(*, is_quick: bool) -> Summary:
-    """Run what `scripts/demo --quick` does, which takes two minutes either way."""
-    del is_quick
+def play(*, is_quick: bool, rounds: int = 1) -> Summary:
+    """Run what `scripts/demo --quick` does, which takes as long in every form."""
+    del is_quick, rounds
     schedule = RateSchedule.parse(QUICK)
     with tempfile.TemporaryDirectory(prefix="arpd-bench-demo-") as logs:
         pairs = compare_for_real(Path(logs), schedule, schedule.duration_s + TAIL_S[QUICK])

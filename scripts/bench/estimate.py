@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from arpd.daemon.scenario import Moment, ScenarioResult
 
 ARPD, BOUND = "arpd", "bound"
-SEEDS, PROCESSES = 10, 2
+SEEDS, PROCESSES = 3, 2
 _QUEUE_BYTES = 1_500_000  # a thousand full packets, as a Linux interface queues: no queue is limited by room
 _MOMENT_S, _DELIVERY_S = 0.1, 0.5
 
@@ -344,10 +344,10 @@ def _one(key: tuple[str, int]) -> dict[str, Metrics]:
     return {ARPD: measure(scenario, scenario.play(ARPD, seed), bound), BOUND: measure(scenario, bound, bound)}
 
 
-def play(*, is_quick: bool, only: str = "") -> Summary:
+def play(*, is_quick: bool, only: str = "", rounds: int = 1) -> Summary:
     """Play scenarios, each with several seeds."""
     names = [name for name in (QUICK if is_quick else SCENARIOS) if only in name]
-    seeds = 2 if is_quick else SEEDS
+    seeds = 2 if is_quick else SEEDS * rounds
     keys = [(name, seed) for name in names for seed in range(1, seeds + 1)]
     found: dict[str, dict[str, list[Metrics]]] = {}
     with ProcessPoolExecutor(PROCESSES) as pool:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from scripts.bench.world import World
 
-MINUTES, QUICK_MINUTES = 10.0, 0.75
+MINUTES, QUICK_MINUTES = 2.5, 0.75
 _AFTER_KILL_S = 1.0  # RestartSec= of the units
 _FAST, _SLOW, _OUT_S, _LOSS = 20 * MBIT, 2 * MBIT, 4.0, 0.01
 _PLANNED_S = 30.0
@@ -137,7 +137,7 @@ class Story:
 
 def told(story: Story, minutes: float, rng: random.Random) -> Course:
     """Plan all events of so many minutes; return the link's course."""
-    whole_s, share = 60.0 * minutes, minutes / MINUTES
+    whole_s, share = 60.0 * minutes, minutes / 10.0
     kills = [names for names, many in KILLS[story.world.side.name].items() for _ in range(max(1, round(many * share)))]
     rng.shuffle(kills)
     slot_s = 0.6 * whole_s / len(kills)
@@ -224,9 +224,9 @@ def _loud(path: Path) -> int:
     return len(_LOUD.findall(path.read_text("utf-8", errors="replace"))) if path.exists() else 0
 
 
-def play(*, is_quick: bool) -> Summary:
+def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     """Play both sides."""
-    minutes = QUICK_MINUTES if is_quick else MINUTES
+    minutes = QUICK_MINUTES if is_quick else MINUTES * rounds
     runs = [played(side, minutes, seed) for seed, side in enumerate(KILLS)]
 
     def every(what: str) -> list[Any]:

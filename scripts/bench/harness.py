@@ -25,13 +25,16 @@ _HOLDS_S = 1.0 - 1e-9
 def conditions() -> dict[str, Any]:
     """Return the date, the commit, the machine and its load, as they are now."""
 
-    def git(*argv: str) -> str:
-        return subprocess.run(["git", *argv], cwd=REPO, capture_output=True, text=True, check=False).stdout.strip()
+    def git(*argv: str) -> str:  # nothing outside a clone, and without git
+        with suppress(OSError):
+            return subprocess.run(["git", *argv], cwd=REPO, capture_output=True, text=True, check=False).stdout.strip()
+        return ""
 
     tree = ("arpd", "scripts", ":!scripts/bench/results")
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "commit": git("rev-parse", "HEAD")[:12],
+        "tree": git("log", "-1", "--format=%H", "--", *tree)[:12],  # the commit that last changed what is measured
         "is_modified": bool(git("status", "--porcelain", "--untracked-files=no", "--", *tree)),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "load": round(os.getloadavg()[0], 1),

@@ -54,11 +54,11 @@ class Board:
 
     Parameters
     ----------
-    share : speed of its core beside one of this machine (0..1); None = this machine, without a limit
+    share : speed of its core beside one of this machine (0..1)
     """
 
     name: str
-    share: float | None = None
+    share: float
 
     def quota(self, cores: int = 1) -> tuple[int, int]:
         """Return quota and period that give cores of this board (us).
@@ -66,18 +66,17 @@ class Board:
         The period is about the least that the kernel's tick of 4 ms and the least quota allow: a loop on a Pi 4's core
         runs for 1 ms and waits for 4, and arpd's ticks of 100 ms see a slow core.
         """
-        assert self.share is not None
         period_us = max(_PERIOD_US, math.ceil(_LEAST_QUOTA_US / self.share))
         return round(cores * self.share * period_us), period_us
 
 
 def boards() -> list[Board]:
-    """Return the boards and this machine, from the shortest of five runs of the reference."""
+    """Return the boards, from the shortest of five runs of the reference."""
     command = [sys.executable, "-I", "-c", _REFERENCE]
     times = [float(subprocess.run(command, capture_output=True, check=True).stdout) for _ in range(5)]
     pi_4 = min(1.0, min(times) / _PI_4_S)
     pi_5 = min(1.0, pi_4 * _PI_5_TIMES)
-    return [Board(name="Pi 4", share=pi_4), Board(name="Pi 5", share=pi_5), Board(name="this machine")]
+    return [Board(name="Pi 4", share=pi_4), Board(name="Pi 5", share=pi_5)]
 
 
 class SlowComputer:
@@ -85,7 +84,6 @@ class SlowComputer:
 
     Parameters
     ----------
-    board : none of them is limited on this machine itself
     name : of the group, below control groups of version 1 or 2
     """
 
@@ -100,19 +98,16 @@ class SlowComputer:
         self._sweeper = threading.Thread(target=self._keep_sweeping, name="sweeper", daemon=True)
 
     def __enter__(self) -> Self:
-        if self.board.share is not None:
-            try:
-                self._build()
-            except OSError as error:
-                raise ArpdError(f"cannot make control groups with quotas of CPU and memory: {error}") from error
-            self._sweeper.start()
+        try:
+            self._build()
+        except OSError as error:
+            raise ArpdError(f"cannot make control groups with quotas of CPU and memory: {error}") from error
+        self._sweeper.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.board.share is None:
-            return
         self._stopping.set()
         self._sweeper.join()
         until_s = time.monotonic() + _REMOVE_S
@@ -131,10 +126,9 @@ class SlowComputer:
 
     def place(self, name: str, pid: int) -> None:
         """Move a process onto the board, with all threads that it will start."""
-        if self.board.share is not None:
-            for folder in dict.fromkeys((self._cpu, self._memory)):
-                _write(folder / "cgroup.procs", str(pid))
-            self._pids[name] = pid
+        for folder in dict.fromkeys((self._cpu, self._memory)):
+            _write(folder / "cgroup.procs", str(pid))
+        self._pids[name] = pid
 
     def _keep_sweeping(self) -> None:
         """Give every thread a core of its own, and remove the cores of those that have ended."""

@@ -133,8 +133,8 @@ def footprint(backend: Backend) -> tuple[float, float]:
     return median(float(run[0]) for run in runs), median(int(run[1]) for run in runs) / 2**20
 
 
-def play(*, is_quick: bool) -> Summary:
-    races = [race(count, turns) for count, turns in (QUICK if is_quick else TURNS).items()]
+def play(*, is_quick: bool, rounds: int = 1) -> Summary:
+    races = [race(count, turns * rounds) for count, turns in (QUICK if is_quick else TURNS).items()]
     footprints = [(str(backend), *footprint(backend)) for backend in Backend]
     off = {name: sum(each["off"][name] for each in races) for name in (PAPER, *LEVELS)}
     return Summary(

@@ -392,12 +392,8 @@ def test_odd_evidence_makes_no_nonsense(ticks):
     link = Link()
     for tick in ticks:
         estimate = link.tick(**tick)
-        numbers = {
-            name: value
-            for name in estimate.__dataclass_fields__
-            if isinstance(value := getattr(estimate, name), float | int)
-        }
-        assert all(0.0 <= value < math.inf for value in numbers.values()), numbers
+        fields = (getattr(estimate, name) for name in estimate.__dataclass_fields__)
+        assert all(0.0 <= value < math.inf for value in fields if isinstance(value, float | int)), estimate
         assert 0.0 <= estimate.available_bytes_per_second <= estimate.capacity_bytes_per_second
         assert estimate.evidence
     assert len(link.probes) <= 2 * len(ticks)
