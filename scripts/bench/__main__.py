@@ -1,8 +1,9 @@
 """List the benchmarks, run them, and write docs/results.md from what they found.
 
-Usage: python -m scripts.bench                                  list them, with the date of each
-       python -m scripts.bench NAME …|all [--quick|--full] [--again]   run those that this tree was not measured by
-       python -m scripts.bench --docs                           only write docs/results.md and README.md's table
+Usage: python -m scripts.bench                          list them, with the date of each
+       python -m scripts.bench NAME … [--quick|--full]  run those that have not measured this tree; `usual`: for an
+                                                        hour, `all`: every one; --again: also those that have
+       python -m scripts.bench --docs                   only write docs/results.md and README.md's table
 
 Most need root, as the simulated link does, and a machine that does nothing else: a run that another process disturbed
 is void, and is not kept. With --quick, --tree or, but for robots, --only nothing is kept but in --out. --full has
@@ -20,13 +21,18 @@ from pathlib import Path
 
 from scripts.bench.harness import conditions, watched
 from scripts.bench.report import RESULTS, Summary, write_pages
+from scripts.bench.robots import CELL, summary_of
 from scripts.bench.world import TREE
 
 #: By name: module and function that return the summary, about how many minutes it takes, and those of the quick form.
 SCENARIOS = {
     "demo": ("demo.play", 1.5, 1.5, "does the demo show what arpd is for?"),
-    "adapt": ("adapt.play", 170, 1, "how do latency, age and loss compare on links that change?"),
-    "robots": ("robots.play", 36, 1.5, "how do other robots, bottlenecks and transports fare?"),
+    "robots": (
+        "robots.play",
+        46,
+        1.5,
+        "how do robots on links that change fare with arpd, and with what else there is?",
+    ),
     "paper": ("paper.play", 5, 1.5, "does the paper's optimum hold with real ROS 2?"),
     "swap": ("swap.play", 4, 1.5, "what does a change of QoS lose?"),
     "faults": ("faults.play", 6, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
@@ -39,8 +45,10 @@ SCENARIOS = {
     "solve": ("solve.play", 0.5, 0.5, "how fast is a plan?"),
     "fuzz": ("fuzz.play", 3, 0.5, "does foreign input crash a reader?"),
 }
-#: Scenarios of which each part is kept, and how many cells of a row name it.
-PARTS = {"robots": 4}
+#: What `usual` plays, in an hour.
+USUAL = ("demo", "robots", "relay", "http", "estimate", "solve")
+#: Scenarios of which each part is kept: what makes a summary of rounds, and how many cells of a round name it.
+PARTS = {"robots": (summary_of, len(CELL))}
 FULL_ROUNDS = 3
 
 
@@ -68,7 +76,8 @@ def is_valid(name: str, *, is_quick: bool, is_full: bool, only: str, is_part: bo
     path = (out or RESULTS) / f"{name}.json"
     if out or not (is_part or noted.get("void")):
         if only and name in PARTS and path.exists():
-            summary = Summary.read(path).with_part(summary, names=PARTS[name])
+            made, names = PARTS[name]
+            summary = Summary.read(path).with_part(summary, made, names=names)
         summary.write(path)
     return is_quick or not noted.get("void")
 
@@ -88,7 +97,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m scripts.bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "all"]))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join([*SCENARIOS, "usual", "all"]))
     parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
     parser.add_argument("--full", action="store_true", help="the long forms: more rounds, seeds and sizes")
     parser.add_argument("--again", action="store_true", help="also those that this tree was measured by")
@@ -105,7 +114,7 @@ def main() -> int:
     is_part = bool(options.quick or options.tree or (options.only and not PARTS.keys() >= {*options.names}))
     if options.tree:
         os.environ[TREE] = str(options.tree.resolve())
-    names = list(SCENARIOS) if options.names == ["all"] else options.names
+    names = {("all",): [*SCENARIOS], ("usual",): [*USUAL]}.get(tuple(options.names), options.names)
     if unknown := sorted({*names} - {*SCENARIOS}):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
     if not names and not options.docs:

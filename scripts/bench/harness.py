@@ -7,7 +7,6 @@ import platform
 import subprocess
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import psutil
@@ -15,7 +14,7 @@ import psutil
 from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
 
 _MOST_FOREIGN = 0.05  # of the machine's processors
@@ -71,14 +70,3 @@ def settled_s(looks: Iterable[tuple[float, bool]]) -> float | None:
         if began_s is not None and at_s - began_s >= _HOLDS_S:
             return began_s
     return None
-
-
-def queues_s(looks: Sequence[dict[str, Any]]) -> list[float]:
-    """Return how long what waited would take, at each look at which the link carried anything (s)."""
-    return [look["waiting_bytes"] / look["rate"] for look in looks if look["rate"] > 10.0 and look["at_s"] > 0]
-
-
-def errors(looks: Sequence[dict[str, Any]]) -> float | None:
-    """Return the median of |estimate / rate - 1| over the looks."""
-    found = [abs(look["estimate"] / look["rate"] - 1.0) for look in looks if "estimate" in look and look["rate"] > 10.0]
-    return median(found) if found else None

@@ -52,13 +52,6 @@ def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
         ),
         "steady-20": ("20 Mbit/s", [(0.0, fast, 0.0)]),
         "steady-5": ("5 Mbit/s", [(0.0, slow, 0.0)]),
-    }
-
-
-def hard_links() -> dict[str, tuple[str, Course]]:
-    """Return further links, which are hard on large samples."""
-    fast, slow = 20 * MBIT, 5 * MBIT
-    return {
         "fall-and-rise": ("20 → 5 → 20 Mbit/s", [(0.0, fast, 0.0), (CALM_S, slow, 0.0), (CALM_S + 9.0, fast, 0.0)]),
         "stalled": (
             "20 Mbit/s; for 50 s everything waits",

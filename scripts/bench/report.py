@@ -85,6 +85,7 @@ class Summary:
     ----------
     about : how it was measured, in sentences
     conditions : when, at which commit, on what and under which load; one for each part that was measured apart
+    rounds : what each round found, of which another module makes the rest; no page shows it
     drawn : a curve over time for each column but the first; a picture shows it, and no page
     """
 
@@ -92,6 +93,7 @@ class Summary:
     figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     conditions: list[dict[str, Any]] = field(default_factory=list)
+    rounds: Table | None = None
     drawn: Table | None = None
 
     def write(self, path: Path) -> None:
@@ -106,31 +108,36 @@ class Summary:
             conditions=found["conditions"],
             figures=[Figure(**each) for each in found["figures"]],
             tables=[Table(**each) for each in found["tables"]],
-            drawn=Table(**found["drawn"]) if found.get("drawn") else None,
+            **{name: Table(**found[name]) for name in ("rounds", "drawn") if found.get(name)},
         )
 
-    def with_part(self, part: Summary, *, names: int) -> Summary:
-        """Return it with the rows of another that measured a part again; so many cells of a row name it.
+    def with_part(self, part: Summary, made: Callable[..., Summary], *, names: int) -> Summary:
+        """Return it with a part that was measured again, made anew of the rounds of both.
 
-        Conditions of which no row is left go.
+        Conditions of which no round is left go.
+
+        Parameters
+        ----------
+        made : makes a summary of rounds
+        names : so many cells of a round name it
         """
-        rows = {tuple(row[:names]): row for each in (self, part) for row in each.tables[0].rows}
-        first = replace(part.tables[0], rows=list(rows.values()))
+        if not self.rounds or not part.rounds:
+            return part
+        again = {tuple(row[:names]) for row in part.rounds.rows}
+        rows = [row for row in self.rounds.rows if tuple(row[:names]) not in again] + part.rounds.rows
         noted = self.conditions + part.conditions
 
         def last_of(row: str) -> int:
             return max(at for at, each in enumerate(noted) if re.search(each.get("of", ""), row))
 
-        return replace(
-            part,
-            tables=[first, *part.tables[1:]],
-            conditions=[noted[at] for at in sorted({last_of(" ".join(row)) for row in rows})],
-            drawn=part.drawn if part.drawn and part.drawn.rows else self.drawn,
-        )
+        drawn = part.drawn if part.drawn and part.drawn.rows else self.drawn
+        whole = made(replace(part.rounds, rows=rows), drawn=drawn)
+        whole.conditions = [noted[at] for at in sorted({last_of(" ".join(row[:names])) for row in rows})]
+        return whole
 
     def markdown(self) -> str:
         """Return it for a page: figures that miss their target first; those that meet it, and long tables, folded."""
-        parts = [self.about, " ".join(map(_said, self.conditions))]
+        parts = [self.about, _said(self.conditions)]
         aimed = [each for each in self.figures if each.target is not None]
         met = [each for each in aimed if each.is_met]
         if aimed:
@@ -152,13 +159,21 @@ def _folded(title: str, text: str) -> str:
     return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
-def _said(noted: dict[str, Any]) -> str:
-    """Return conditions in a sentence."""
-    load = "load not noted" if noted["load"] is None else f"load average {noted['load']:g} before"
-    of = f"`{noted['of']}`: " if "of" in noted else ""
-    modified = ", modified" if noted["is_modified"] else ""
-    void = f"; **void**: {noted['void']}" if noted.get("void") else ""
-    return f"{of}{noted['date']}, commit {noted['commit'][:7]}{modified}, {noted['machine']}, {load}{void}."
+def _said(conditions: Iterable[dict[str, Any]]) -> str:
+    """Return conditions in sentences; parts that were measured at one commit on one day share theirs."""
+    shared: dict[str, list[dict[str, Any]]] = {}
+    for noted in conditions:
+        modified = ", modified" if noted["is_modified"] else ""
+        when = f"{noted['date']}, commit {noted['commit'][:7]}{modified}, {noted['machine']}"
+        shared.setdefault(when, []).append(noted)
+    sentences = []
+    for when, parts in shared.items():
+        of = ", ".join(f"`{each['of']}`" for each in parts if "of" in each) if len(shared) > 1 else ""
+        loads = ranged([each["load"] for each in parts])
+        load = f"load average {loads} before" if loads else "load not noted"
+        void = "".join(f"; **void**: {each['void']}" for each in parts if each.get("void"))
+        sentences.append(f"{of}{': ' if of else ''}{when}, {load}{void}.")
+    return " ".join(sentences)
 
 
 def _figures(figures: Sequence[Figure]) -> str:
@@ -213,6 +228,18 @@ def spread(values: Iterable[float | None]) -> str | None:
     return middle if middle == worst else f"{middle} ({worst})"
 
 
+def ranged(values: Iterable[Any]) -> str | None:
+    """Return the median of several rounds, and in brackets the least and the largest; None = never, or not measured."""
+    every = list(values)
+    known = sorted(value for value in every if value is not None)
+    if not known:
+        return None
+    if len(known) < len(every):
+        return f"never in {len(every) - len(known)} of {len(every)}"
+    least, middle, most = (shown(_short(float(each))) for each in (known[0], median(known), known[-1]))
+    return middle if least == most else f"{middle} ({least}–{most})"
+
+
 def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table; columns of numbers stand right."""
     rules = ["---:" if _is_numeric([row[at] for row in rows]) else "---" for at in range(len(columns))]
@@ -241,10 +268,9 @@ def _wrapped(line: str) -> str:
 _RIVALS = {"plain": "rclpy's defaults", "large_data": "Fast DDS' LARGE_DATA", "two_ends": "arpd"}
 
 
-def _rivals(robots: Summary, robot: str = "tb4", link: str = "fall-and-rise") -> str:
+def _rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> str:
     """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
-    first = robots.tables[0]
-    rows = [dict(zip(first.columns, row, strict=True)) for row in first.rows if row[:2] == [robot, link]]
+    rows = [dict(zip(rounds.columns, row, strict=True)) for row in rounds.rows if row[:2] == [robot, link]]
     heads = {
         "pictures/s": "large/s",
         "small samples, p99 ms": "small p99 ms",
@@ -253,11 +279,11 @@ def _rivals(robots: Summary, robot: str = "tb4", link: str = "fall-and-rise") ->
     }
 
     def both(side: str, column: str) -> str:
-        return " / ".join(
-            shown(row[column])
-            for row in sorted(rows, key=lambda row: row["bottleneck"], reverse=True)
-            if row["side"] == side
+        found = (
+            [row[column] for row in rows if row["side"] == side and row["bottleneck"] == bottleneck]
+            for bottleneck in ("sender", "middle")
         )
+        return " / ".join(shown(float(median(values))) for values in found if values)
 
     return _markdown(
         ["", *heads], [[said, *(both(side, column) for column in heads.values())] for side, said in _RIVALS.items()]
@@ -269,7 +295,8 @@ def write_pages() -> None:
     known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
     blocks = {name: summary.markdown() for name, summary in known.items()}
     if robots := known.get("robots"):
-        blocks["rivals"] = _rivals(robots)
+        if robots.rounds:
+            blocks["rivals"] = _rivals(robots.rounds)
         if robots.drawn:
             curves(RESULTS / "robots.png", robots.drawn)
     for path in (REPO / "docs/results.md", REPO / "README.md"):

@@ -1,4 +1,4 @@
-"""Play robots that nobody tuned arpd on, over other links and bottlenecks, with arpd and without.
+"""Play robots over links that change, behind either bottleneck, with arpd and with what a user would do instead.
 
 Real rclpy nodes publish real messages: a process for each node of the robot, one that reads its commands, and one each
 for the commands and the readers of the base. Bottlenecks: `sender` is a token bucket with a queue of 256 kB on the
@@ -11,17 +11,23 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from functools import partial
 from itertools import product
+from statistics import median
 from typing import Any, get_args
 
+import numpy as np
 import yaml
 
+from arpd.model.settings import Settings, TopicSettings
 from arpd.sim.demo import COMMAND_TOPIC, DEMO_CONFIG, demo_topics
+from arpd.solve.program import Program
+from arpd.solve.topics import Traffic, rows_of_traffic
 from scripts.bench.account import AGE_S, Account
 from scripts.bench.child import ChildError
-from scripts.bench.links import DURATION_S, STALL_S, hard_links, links
-from scripts.bench.report import Summary, table
+from scripts.bench.links import DURATION_S, MBIT, STALL_S, Course, at, links
+from scripts.bench.report import Figure, Summary, Table, figure, ranged, table
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import PREFIX, SIDES, Robot, Service
 from scripts.bench.world import world_of
@@ -109,7 +115,7 @@ _TOPICS: dict[str, tuple[Topic, ...]] = {
     ),
     "telemetry": (*(_telemetry(k) for k in range(100)), _cmd(rate_hz=20.0)),
 }
-_LINKS = {**links(), **hard_links()}
+_LINKS = links()
 
 
 def demo_robot() -> Robot:
@@ -133,18 +139,61 @@ ROBOTS = {
     **{name: Robot(topics=topics, **_MORE.get(name, {})) for name, topics in _TOPICS.items()},
     "demo": demo_robot(),
 }
-#: Sides by name, and what each is in words; all processes of the last three have arpd beside them.
+#: Sides by name, and what each is in words.
 WAYS = {
     "plain": "rclpy's defaults",
     "large_data": "the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
+    "profile": "the same with best practice: no IP fragments, a heartbeat every 50 ms (arpd's Fast DDS profile)",
+    "throttle": "the same, each topic throttled to what `arpd solve` gives for the slowest tenth of the link's time",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
     "adaptive_tcp": "the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
     "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
+    "bound": "the same, told the mean of the link's next 0.2 s at every tick",
 }
-#: What a run without --only plays.
-_USUAL = ("fall-and-rise",), get_args(Bottleneck), ("plain", "large_data", "two_ends")
+_RIVALS = ("plain", "large_data", "profile", "throttle")
+#: What a run without --only or --full plays, with these sides: robot, link, bottleneck.
+_USUAL: tuple[tuple[str, str, Bottleneck], ...] = (
+    ("tb4", "fall-and-rise", "sender"),
+    ("tb4", "fall-and-rise", "middle"),
+    ("outdoor", "fall-and-rise", "sender"),
+    ("demo", "wifi-walk", "middle"),
+    ("nav2", "steady-5", "middle"),
+)
+_USUAL_SIDES = ("plain", "large_data", "two_ends")
+ROUNDS = 3
+#: What arpd should reach of the worst round of a rival: its share, what is added to that, and whether it is the least.
+_AIMS: dict[str, tuple[float, float, bool]] = {
+    "small %": (1.0, 0.0, True),
+    "small p99 ms": (1.0, 0.0, False),
+    "small gap beyond its period s": (1.0, 0.0, False),
+    "commands p99 ms": (1.0, 10.0, False),
+    "commands max ms": (1.0, 10.0, False),
+    "large/s": (0.9, 0.0, True),
+    "large age p99 s": (1.0, 0.0, False),
+    "whole sets/s": (0.9, 0.0, True),
+}
+FAULTS = ("doubled", "torn", "out_of_order")
+CELL = ("robot", "link", "bottleneck", "side")
 #: The robot, link, bottleneck and topic of the picture.
 _SHOWN, _SHOWN_TOPIC, _EVERY = ("tb4", "fall-and-rise", "middle"), "/scan", 10
+
+
+def throttled(robot: Robot, course: Course) -> Robot:
+    """Return the robot with each topic throttled by hand, for the slowest tenth of the link's time without outages."""
+    rates = [at(course, float(now_s))[0] for now_s in np.arange(0.0, DURATION_S, 0.1)]
+    slowest = float(np.quantile([rate for rate in rates if rate > MBIT / 10], 0.1))
+    settings = Settings(topics=(TopicSettings(name=COMMAND_TOPIC, weight=10.0, min_rate_hz=20.0),))
+    named: dict[str, Traffic] = {}
+    for topic in robot.topics:
+        rate_hz = topic.rate_hz * topic.publishers + (named[topic.name].source_rate_hz if topic.name in named else 0.0)
+        named[topic.name] = Traffic(topic=topic.name, payload_bytes=topic.size, source_rate_hz=rate_hz)
+    program = Program(settings)
+    rows = rows_of_traffic(tuple(named.values()), settings)
+    answer = program.solve(program.on_link(slowest, rows), settings.program.memory_budget_bytes)
+    shares = {each.name: each.rate_hz / named[each.name].source_rate_hz for each in answer.topics}
+    return replace(
+        robot, topics=tuple(replace(each, rate_hz=each.rate_hz * min(1.0, shares[each.name])) for each in robot.topics)
+    )
 
 
 def measured(
@@ -152,7 +201,9 @@ def measured(
 ) -> tuple[dict[str, Any], Account]:
     """Return the figures of one side, and what became of every sample."""
     about, course = ROBOTS[robot], _LINKS[link][1]
-    with world_of(about, SIDES[side], bottleneck=bottleneck, rate=course[0][1]) as world:
+    about = throttled(about, course) if side == "throttle" else about
+    way = SIDES["plain" if side == "throttle" else side]
+    with world_of(about, way, bottleneck=bottleneck, rate=course[0][1]) as world:
         account, spent = world.play(course, seconds)
     groups = account.groups()
     small, commands, large = (groups.get(name, {}) for name in ("small", "commands", "large"))
@@ -168,42 +219,91 @@ def measured(
         "commands %": commands.get("delivered_percent"),
         "commands p99 ms": commands.get("p99_ms"),
         "commands max ms": commands.get("max_ms"),
-        "large age p99 s": large.get("age_p99_s"),
         "large/s": large.get("per_second"),
+        "large age p99 s": large.get("age_p99_s"),
         "whole sets/s": account.sets_per_second() if about.groups else None,
         "Mbit/s": spent["to_base_mbit"],
-        "doubled, torn, late": ", ".join(map(str, account.faults().values())),
-        "unmatched": len(spent["unmatched"]),
+        **account.faults(),
+        "never matched": len(spent["unmatched"]),
     }
     return row, account
 
 
-def play(*, is_quick: bool, only: str = "") -> Summary:
-    """Play every robot on a link that falls and rises, with both bottlenecks, beside what a user would try first.
+def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
+    """Play robots, links and bottlenecks, each with every side in turn, for several rounds.
 
-    ``only`` picks parts of the whole, robots, links, bottlenecks and sides in which this regular expression is found.
+    With ``rounds`` 1 it plays the usual ones, three times; with more, all there are. ``only`` picks those in which this
+    regular expression is found: robot, link, bottleneck and side.
     """
-    cells: list[Any] = list(product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS) if only else product(ROBOTS, *_USUAL))
+    usual = [(*place, side) for place in _USUAL for side in _USUAL_SIDES]
+    every = list(product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS))
+    cells = usual if rounds == 1 and not only else every
+    cells = [cell for cell in cells if re.search(only, " ".join(cell))]
+    found, ages_s = [], {}
     if is_quick:
         cells = [("tb4", "fall-and-rise", "middle", "two_ends")]
-    rows, ages_s = [], {}
-    for robot, link, bottleneck, side in (each for each in cells if re.search(only, " ".join(each))):
+    for number, (robot, link, bottleneck, side) in product(range(1 if is_quick else max(ROUNDS, rounds)), cells):
         lasts_s = 8.0 if is_quick else 2 * STALL_S if link == "stalled" else DURATION_S
         try:
             row, account = measured(robot, link, bottleneck, side, lasts_s)
         except ChildError as error:
             print(f"{robot}, {link}, {bottleneck}, {side}: {error}", file=sys.stderr)
             continue
-        rows.append(row)
-        if (robot, link, bottleneck) == _SHOWN:
+        found.append(row)
+        if (robot, link, bottleneck) == _SHOWN and number == 0:
             every_s = account.ages_s[_SHOWN_TOPIC]
             ages_s[side] = [max(every_s[k : k + _EVERY]) for k in range(0, len(every_s), _EVERY)]
     lines = [
         {"s": AGE_S * _EVERY * k, **dict(zip(ages_s, each, strict=True))}
         for k, each in enumerate(zip(*ages_s.values(), strict=True))
     ]
+    return summary_of(table("", found), drawn=table(f"oldest age of {_SHOWN_TOPIC} (s)", lines))
+
+
+def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
+    """Return a line for each side on each link, and arpd beside the best of its rivals, from what each round found."""
+    cells: dict[tuple[str, ...], dict[str, list[Any]]] = {}
+    for row in rounds.rows:
+        columns = cells.setdefault(tuple(row[: len(CELL)]), {})
+        for key, value in list(zip(rounds.columns, row, strict=True))[len(CELL) :]:
+            columns.setdefault(key, []).append(value)
+    places = dict.fromkeys(cell[:-1] for cell in cells)
+    figures = [
+        each
+        for place in places
+        for each in _aims(place, {cell[-1]: columns for cell, columns in cells.items() if cell[:-1] == place})
+    ]
+    lines = [
+        {
+            **dict(zip(CELL, cell, strict=True)),
+            "rounds": len(columns["small %"]),
+            **{key: ranged(values) for key, values in columns.items() if key not in FAULTS},
+            "doubled, torn, late": ", ".join(str(max(columns[key])) for key in FAULTS),
+        }
+        for cell, columns in cells.items()
+    ]
     return Summary(
-        about="One round each. Small: samples up to ten packets.",
-        tables=[table("", rows), table("", [{"side": side, "what": what} for side, what in WAYS.items()])],
-        drawn=table(f"oldest age of {_SHOWN_TOPIC} (s)", lines),
+        about="Medians, and the range of the rounds. Small: samples up to ten packets. Age: of the newest sample. "
+        f"Targets: no worse than the worst round of the best rival that was played {ROUNDS} times, but for 10 ms of "
+        "commands and a tenth of the large samples.",
+        figures=figures,
+        tables=[table("", lines), table("", [{"side": side, "what": what} for side, what in WAYS.items()])],
+        rounds=rounds,
+        drawn=drawn,
     )
+
+
+def _aims(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> list[Figure]:
+    """Return arpd's figures, each beside that of the rival that is the hardest to beat."""
+    rivals = {side: columns for side, columns in sides.items() if side in _RIVALS and len(columns["small %"]) >= ROUNDS}
+    found = []
+    for key, (share, more, is_least) in _AIMS.items() if "two_ends" in sides else ():
+        known = {side: columns[key] for side, columns in rivals.items() if None not in columns.get(key, [None])}
+        limits = {side: share * (min if is_least else max)(values) + more for side, values in known.items()}
+        if limits:
+            side = (max if is_least else min)(limits, key=lambda name: limits[name])
+            ours = sides["two_ends"][key]
+            limit = {"least" if is_least else "most": limits[side]}
+            what = f"{', '.join(place)}: {key}, beside {side}"
+            found.append(figure(what, None if None in ours else float(median(ours)), **limit))
+    return found

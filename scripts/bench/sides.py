@@ -106,6 +106,7 @@ SIDES = {
     for side in (
         Side(name="plain"),
         Side(name="large_data", transports=_TCP),
+        Side(name="profile", has_profile=True),
         Side(name="adaptive", **_ADAPTIVE),
         Side(name="adaptive_tcp", transports=_TCP, **_ADAPTIVE),
         Side(name="two_ends", **_TWO_ENDS),

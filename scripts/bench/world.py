@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
-from pyroute2 import IPRoute, netns
 
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.account import Account
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
 _STATUS_URL = "http://127.0.0.1:9464/api/v1/status"
 _MATCH_S, DRAIN_S, _LEAD_S = 40.0, 4.0, 1.0
-_TICK_S, _FOOTPRINT_S, _LOOK_S = 0.02, 0.5, 0.1
+_TICK_S, _FOOTPRINT_S = 0.02, 0.5
 TREE = "ARPD_BENCH_TREE"  # source tree of arpd's processes
 _LINK_DOMAIN = 102  # SimLink takes lower ones
 
@@ -71,7 +70,6 @@ class World:
         self.children: dict[str, Child] = {}
         self.daemons: dict[str, subprocess.Popen[Any]] = {}
         self.ended: list[str] = []
-        self.looks: list[dict[str, Any]] = []
         self._withheld: dict[tuple[str, str], list[tuple[float, int]]] = {}
         self._truth = workdir / "truth.json"
 
@@ -115,7 +113,6 @@ class World:
         seconds: float,
         *,
         events: Sequence[tuple[float, Callable[[], None]]] = (),
-        looks: bool = False,
         drain_s: float = DRAIN_S,
     ) -> tuple[Account, dict[str, Any]]:
         """Play the link's course, and return the account, and what it all cost."""
@@ -126,7 +123,7 @@ class World:
             self.link.set_loss(loss)
             times = self.begin(seconds)
             write_truth(self._truth, course, times["from_s"])
-            spent = self.follow(course, times["from_s"], seconds, events=events, looks=looks)
+            spent = self.follow(course, times["from_s"], seconds, events=events)
             self.link.set_rate(rate)
             self.link.set_loss(0.0)
             account = self.report(times, drain_s)
@@ -139,7 +136,6 @@ class World:
         seconds: float,
         *,
         events: Sequence[tuple[float, Callable[[], None]]] = (),
-        looks: bool = False,
     ) -> dict[str, Any]:
         """Let the link follow its course, and return what it carried and what the processes took."""
         time.sleep(max(0.0, from_s - time.monotonic()))
@@ -149,10 +145,6 @@ class World:
         rss_bytes: Counter[str] = Counter()
         first_rss: dict[str, int] = {}
         now, next_s = at(course, 0.0), 0.0
-        is_over = threading.Event()
-        looking = threading.Thread(target=self._look, args=(from_s, is_over), daemon=True)
-        if looks:
-            looking.start()
         while (elapsed_s := time.monotonic() - from_s) < seconds:
             if (wanted := at(course, elapsed_s)) != now:
                 now = wanted
@@ -166,7 +158,6 @@ class World:
                 rss_bytes |= Counter(found := self._footprints("rss_bytes"))  # the greater of each
                 first_rss = {**found, **first_rss}
             time.sleep(_TICK_S)
-        is_over.set()
         carried = self._carried()
         return {
             "to_base_mbit": (carried["base"] - carried_before["base"]) * 8e-6 / seconds,
@@ -200,22 +191,6 @@ class World:
             before = float(np.interp(from_s, times_s, counts)) if self.side.warm_up_s else 0.0
             found[name] += round(counts[-1] - before)
         return found
-
-    def _look(self, from_s: float, is_over: threading.Event) -> None:
-        """Note queue, estimate and budget, in the robot's namespace, ten times a second until all is over."""
-        netns.setns(self.link.robot.namespace, flags=0)
-        with IPRoute() as route:
-            index = route.link_lookup(ifname=self.link.robot.interface)[0]
-            while not is_over.wait(_LOOK_S):
-                (bucket,) = (q for q in route.get_qdiscs(index) if q.get("TCA_KIND") == "tbf")
-                look = {"at_s": time.monotonic() - from_s}
-                look["waiting_bytes"] = bucket.get("TCA_STATS2").get("TCA_STATS_QUEUE")["backlog"]
-                look["rate"] = bucket.get("TCA_OPTIONS").get("TCA_TBF_PARMS")["rate"]
-                with suppress(OSError, ValueError, KeyError):
-                    found = _asked() if self.side.is_governed else {}
-                    look["estimate"] = found["link"]["capacity_bytes_per_second"]
-                    look["budget"] = found["allocation"]["capacity_bytes_per_second"]
-                self.looks.append(look)
 
     def _start_nodes(self, stack: ExitStack) -> None:
         world = self.workdir / "world.json"

@@ -3,19 +3,50 @@
 from __future__ import annotations
 
 from scripts.bench.report import Summary, Table, figure
+from scripts.bench.robots import CELL, FAULTS, summary_of
 
 
-def summary(rows, *conditions, figures=()):
+def summary(rows, figures=()):
     tables = [Table(columns=["robot", "side", "late %"], rows=rows)]
-    return Summary(about="", tables=tables, conditions=list(conditions), figures=list(figures))
+    return Summary(about="", tables=tables, figures=list(figures))
+
+
+def of_rounds(rows, *conditions):
+    """Return a summary of rounds of a robot's sides, in which every figure is the same number."""
+    keys = ("small %", "small p99 ms", "large/s")
+    filled = [[*row[:-1], *[row[-1]] * len(keys), *[0] * len(FAULTS)] for row in rows]
+    table = Table(columns=[*CELL, *keys, *FAULTS], rows=filled)
+    made = summary_of(table)
+    made.conditions = list(conditions)
+    return made
 
 
 def test_a_part_that_is_measured_again_takes_the_place_of_the_first():
-    """So do its conditions, where no row of the first is left."""
-    kept = summary([["tb4", "plain", 1], ["rgbd", "plain", 2]], {"of": "tb4 "}, {"of": "rgbd"})
-    again = kept.with_part(summary([["tb4", "plain", 3]], {"of": "^tb4"}), names=2)
-    assert again.tables[0].rows == [["tb4", "plain", 3], ["rgbd", "plain", 2]]
+    """So do its conditions, where no round of the first is left."""
+    plain, arpd, other = (["tb4", "link", "middle", "plain"], ["tb4", "link", "middle", "two_ends"], ["rgbd", *"lms"])
+    kept = of_rounds([[*plain, 1], [*arpd, 1], [*other, 2]], {"of": "tb4 "}, {"of": "rgbd"})
+    again = kept.with_part(of_rounds([[*plain, 3], [*plain, 5], [*arpd, 6]], {"of": "^tb4"}), summary_of, names=4)
+    assert [row[:6] for row in again.tables[0].rows] == [
+        [*other, 1, "2"],
+        [*plain, 2, "4 (3–5)"],
+        [*arpd, 1, "6"],
+    ]
     assert again.conditions == [{"of": "rgbd"}, {"of": "^tb4"}]
+
+
+def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
+    """A rival that was played less than three times sets no target; one whose samples never came sets none either."""
+    place = ["tb4", "link", "middle"]
+    rounds = [
+        [*place, side, value] for side, values in (("plain", (8, 9, 7)), ("large_data", (4, 5, 6))) for value in values
+    ]
+    never = [[*place, "profile", None]] * 3
+    found = of_rounds([*rounds, *never, [*place, "throttle", 1], [*place, "two_ends", 6.5]]).figures
+    assert [(each.what.split(": ")[1], each.target, each.is_met) for each in found] == [
+        ("small %, beside plain", 7.0, False),
+        ("small p99 ms, beside large_data", 6.0, False),
+        ("large/s, beside plain", 6.3, True),
+    ]
 
 
 def test_figures_that_miss_their_target_stand_first_and_the_others_are_folded():
