@@ -7,7 +7,7 @@ from pathlib import Path
 
 from arpd.sim.schedule import RateSchedule
 from scripts.bench.report import Summary, Table
-from scripts.robot.demo import QUICK, TAIL_S, compare_for_real
+from scripts.robot.demo import QUICK, TAIL_S, compare
 from scripts.robot.report import HEADINGS, row_of
 
 
@@ -16,7 +16,7 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     del is_quick, rounds
     schedule = RateSchedule.parse(QUICK)
     with tempfile.TemporaryDirectory(prefix="arpd-bench-demo-") as logs:
-        pairs = compare_for_real(Path(logs), schedule, schedule.duration_s + TAIL_S[QUICK])
+        pairs = compare(Path(logs), schedule, schedule.duration_s + TAIL_S[QUICK])
     if not all(pair.with_arpd.received for pair in pairs):
         raise SystemExit("demo: nothing arrived on some topic with arpd")
     return Summary(

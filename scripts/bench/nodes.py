@@ -55,7 +55,7 @@ def taken(subscription: Any, made: Any) -> Iterator[tuple[bytes, dict[str, int]]
             yield found
 
 
-def _qos(topic: Topic, depth: int) -> Any:
+def qos_of(topic: Topic, depth: int) -> Any:
     from rclpy.duration import Duration
     from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
@@ -69,7 +69,7 @@ def _qos(topic: Topic, depth: int) -> Any:
 
 def created(node: Any, topic: Topic, way: Way) -> Any:
     """Return a publisher."""
-    qos = _qos(topic, _KEPT_DEPTH if topic.is_kept else topic.depth)
+    qos = qos_of(topic, _KEPT_DEPTH if topic.is_kept else topic.depth)
     made = class_of(topic.type_name)
     if not way.is_adaptive:
         return node.create_publisher(made, topic.name, qos)
@@ -202,7 +202,7 @@ class Listener:
             depth = max(_KEPT_DEPTH if topic.is_kept else 10, fast if topic.group != "large" else 10)
             prefix = "" if topic.node == BASE else way.prefix
             made = class_of(topic.type_name)
-            reader = node.create_subscription(made, prefix + name, lambda _sample: None, _qos(topic, depth), raw=True)
+            reader = node.create_subscription(made, prefix + name, lambda _sample: None, qos_of(topic, depth), raw=True)
             self._readers[name] = reader, made, topic.answers
 
     def unmatched(self) -> list[str]:
@@ -220,7 +220,7 @@ class Listener:
                 if self.is_endless and len(self.arrivals[name]) > _MOST_NOTED:
                     del self.arrivals[name][: _MOST_NOTED // 2]
                 if self._echo is not None and number % self._echo[0] == source:
-                    self._echo[2].publish(self._echo[1].answer(source, number, sent_ns))
+                    self._echo[2].publish(self._echo[1].tagged(source, number, sent_ns))
 
 
 class Caller:

@@ -147,6 +147,9 @@ WAYS = {
     "throttle": "the same, each topic throttled to what `arpd solve` gives for the slowest tenth of the link's time",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
     "adaptive_tcp": "the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
+    "zenoh": "two ends over Zenoh, without services: a priority per class; large samples wait for their turn",
+    "zenoh_drop": "the same, but large samples are dropped where the queue is full (congestion control drop)",
+    "zenoh_first": "the same, but large samples are dropped while one waits (congestion control block_first)",
     "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
     "bound": "the same, told the mean of the link's next 0.2 s at every tick",
 }

@@ -127,14 +127,11 @@ class Template:
             stamp_ns = round(number * _NANOSECONDS / self._rate_hz)
             struct.pack_into("<iI", self._sample, 4, *divmod(stamp_ns, _NANOSECONDS))
         np.frombuffer(self._sample, np.uint8)[self._checked] = number % _MODULUS
-        return self.tagged(_TAG % (self._source, number, time.monotonic_ns()))
+        return self.tagged(self._source, number, time.monotonic_ns())
 
-    def answer(self, source: int, number: int, sent_ns: int) -> bytes:
-        """Return a sample with the tag of another one."""
-        return self.tagged(_TAG % (source, number, sent_ns))
-
-    def tagged(self, tag: str) -> bytes:
-        self._sample[self._offset : self._offset + _TAG_BYTES] = tag.encode()
+    def tagged(self, source: int, number: int, sent_ns: int) -> bytes:
+        """Return a sample with this tag, which may be that of another one."""
+        self._sample[self._offset : self._offset + _TAG_BYTES] = (_TAG % (source, number, sent_ns)).encode()
         return bytes(self._sample)
 
     def read(self, sample: bytes) -> tuple[int, int, int]:

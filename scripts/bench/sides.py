@@ -78,7 +78,7 @@ class Side:
 
     Parameters
     ----------
-    ends : of arpd's relay, or of one in ten lines of rclpy ("bare"); plain nodes stay on their hosts with "two"
+    ends : of arpd's relay, of one in ten lines of rclpy ("bare"), or "zenoh"; with "two" and "zenoh" nodes stay at home
     is_governed : `arpd run` and `arpd peer` run, too
     has_profile : the nodes have arpd's Fast DDS profile
     transports : environment of every process; that of two ends keeps nodes on their hosts, as on a real robot
@@ -112,6 +112,7 @@ SIDES = {
         Side(name="two_ends", **_TWO_ENDS),
         Side(name="bound", is_told=True, **_TWO_ENDS),
         Side(name="one_end", way=Way(prefix=PREFIX), ends="one"),
+        *(Side(name=name, ends="zenoh", transports=_CONFINED) for name in ("zenoh", "zenoh_drop", "zenoh_first")),
         Side(name="bare", way=Way(prefix=BARE), ends="bare"),
     )
 }

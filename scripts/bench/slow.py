@@ -112,8 +112,11 @@ class SlowComputer:
         self._sweeper.join()
         until_s = time.monotonic() + _REMOVE_S
         for folder in dict.fromkeys((*self._threads.values(), self._cpu, self._memory)):
-            while not _removed(folder) and time.monotonic() < until_s:
-                time.sleep(0.05)  # the last thread is not quite gone
+            while folder.exists() and time.monotonic() < until_s:  # the last thread may not be quite gone
+                with suppress(OSError):
+                    folder.rmdir()
+                    break
+                time.sleep(0.05)
 
     def _build(self) -> None:
         if self.version == 2:
@@ -145,7 +148,8 @@ class SlowComputer:
                     self._limit(folder, *self.board.quota())
                     _write(folder / ("tasks" if self.version == 1 else "cgroup.threads"), str(thread))
             for thread in self._threads.keys() - alive:
-                if _removed(self._threads[thread]):
+                with suppress(OSError):
+                    self._threads[thread].rmdir()
                     del self._threads[thread]
 
     def _limit(self, folder: Path, quota_us: int, period_us: int) -> None:
@@ -174,14 +178,3 @@ def _threads_of(pid: int) -> list[int]:
 
 def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="ascii")
-
-
-def _removed(folder: Path) -> bool:
-    """Return whether a group is gone."""
-    try:
-        folder.rmdir()
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
-    return True

@@ -27,7 +27,7 @@ from scripts.bench.oracle import write_truth
 from scripts.bench.report import REPO
 from scripts.bench.samples import BASE
 from scripts.bench.sides import PREFIX, Robot, Side
-from scripts.netns.namespaces import inside
+from scripts.netns.namespaces import HOST_NAMES, inside
 from scripts.netns.simlink import SimLink
 
 if TYPE_CHECKING:
@@ -76,15 +76,12 @@ class World:
     def start(self, stack: ExitStack) -> list[str]:
         """Start everything and wait until writers and readers have found each other; return those that have not."""
         self._start_nodes(stack)
-        if self.side.is_governed:
+        daemons = ["peer", "run"] if self.side.is_governed else []
+        daemons += {"one": ["relay"], "two": ["relay", "relay_far"]}.get(self.side.ends, [])
+        if daemons:
             self.configure()
-            self.start_daemon("peer")
-            self.start_daemon("run")
-        if self.side.ends in {"one", "two"}:
-            self.configure()
-            self.start_daemon("relay")
-        if self.side.ends == "two":
-            self.start_daemon("relay_far")
+        for name in daemons:
+            self.start_daemon(name)
         for child in self.children.values():
             child.receive()
         becomes_true(lambda: not any(self._unmatched()), _MATCH_S, poll_s=0.3)
@@ -206,14 +203,17 @@ class World:
             self.children[name] = self.child(stack, host, str(world), name)
         if self.side.ends == "bare":
             self.daemons["relay"] = self.child(stack, "robot", "bare", str(world)).process
+        for end in HOST_NAMES if self.side.ends == "zenoh" else ():
+            argv = str(world), end, self.link.robot.address, self.side.name
+            self.daemons[f"zenoh_{end}"] = self.child(stack, end, *argv, module="scripts.bench.zenoh_ends").process
 
-    def child(self, stack: ExitStack, host: HostName, *argv: str) -> Child:
-        """Start a process of the nodes' module."""
+    def child(self, stack: ExitStack, host: HostName, *argv: str, module: str = "") -> Child:
+        """Start a process of a module, by default the nodes'."""
         environment = {
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(FASTDDS_PROFILE) if self.side.has_profile else "",
             **self.side.transports,
         }
-        child = Child(self.link, host, self._nodes, *argv, environment=environment)
+        child = Child(self.link, host, module or self._nodes, *argv, environment=environment)
         stack.callback(child.end)
         if host == "robot":
             self._slow(argv[-1], child.process.pid)

@@ -15,6 +15,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from arpd.cli.options import within
 from arpd.model.errors import ArpdError
 from arpd.sim.schedule import RateSchedule
 from scripts.netns.namespaces import HOST_NAMES
@@ -61,7 +62,8 @@ def main() -> int:
             if not commands:
                 say_how_to_enter(link)
             code = play(link, schedule, commands, options.duration)
-            say_what_crossed(link)
+            for name, counters in link.counters().items():
+                say(f"{name} received {counters.rx_bytes} bytes in {counters.rx_packets} packets")
     except ArpdError as error:
         say(f"error: {error}")
         return error.exit_code
@@ -93,12 +95,6 @@ def play(
         time.sleep(POLL_S)
 
 
-def say_what_crossed(link: SimLink) -> None:
-    """Print the bytes that arrived at each end."""
-    for name, counters in link.counters().items():
-        say(f"{name} received {counters.rx_bytes} bytes in {counters.rx_packets} packets")
-
-
 def say_how_to_enter(link: SimLink) -> None:
     say(f"the link is up at {link.rate_bytes_per_second * 8e-6:g} Mbit/s; Ctrl-C removes it. Enter a host with:")
     outer_pid = os.environ.get(OUTER_PID)
@@ -121,13 +117,6 @@ def rate_over_time(text: str) -> RateSchedule:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def probability(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is not a probability; give a number from 0 to 1")
-    return value
-
-
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="scripts/simlink", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -138,7 +127,8 @@ def parse_arguments() -> argparse.Namespace:
         default="20mbit",
         help="of each direction, constant or over time (S:RATE,...; the last one holds); default %(default)s",
     )
-    parser.add_argument("--loss", type=probability, default=0.0, metavar="P", help="packet loss, 0..1 (default 0)")
+    share = within(0.0, 1.0, parse=float)
+    parser.add_argument("--loss", type=share, default=0.0, metavar="P", help="packet loss, 0..1 (default 0)")
     parser.add_argument("--bottleneck", choices=("sender", "middle"), default="sender", help="default %(default)s")
     parser.add_argument("--robot", metavar="CMD", help="command for the robot (bash -c)")
     parser.add_argument("--base", metavar="CMD", help="command for the base computer (bash -c)")

@@ -27,7 +27,6 @@ HOST_NAMES: tuple[HostName, HostName] = ("robot", "base")
 RUN_DIR = Path("/run/arpd-links")
 NETNS_DIR = Path("/run/netns")
 
-_RUN_ID = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 _NAMESPACE = re.compile(r"simlink-(?P<run_id>[A-Za-z0-9_.-]{1,40})-(?:robot|base|middle)")
 _GRACE_S = 2.0
 _POLL_S = 0.02
@@ -70,7 +69,7 @@ def claim(run_id: str, namespaces: Sequence[str]) -> None:
     LinkError
         If the run id is malformed, or a living process owns it.
     """
-    if not _RUN_ID.fullmatch(run_id):
+    if not _NAMESPACE.fullmatch(namespace_of(run_id, "robot")):
         raise LinkError(f"run id {run_id!r}: use 1 to 40 letters, digits, '_', '.' or '-'")
     try:
         with _registry_locked():

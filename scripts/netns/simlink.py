@@ -31,7 +31,6 @@ from scripts.netns.namespaces import (
     HOST_NAMES,
     HostName,
     claim,
-    cleanup_stale,
     executable,
     inside,
     namespace_of,
@@ -45,8 +44,6 @@ if TYPE_CHECKING:
     from typing import Self
 
     from arpd.model.interface import LinkCounters
-
-__all__ = ["Host", "SimLink", "available", "cleanup_stale", "usable_link", "user_namespace_argv"]
 
 Bottleneck = Literal["sender", "middle"]
 
@@ -83,7 +80,7 @@ class SimLink:
 
     Attributes
     ----------
-    robot, base : the two ends
+    robot, base, hosts : the two ends, and both
     """
 
     def __init__(
@@ -99,11 +96,11 @@ class SimLink:
         is_memory_private: bool = False,
     ) -> None:
         self.run_id = run_id
-        self.robot, self.base = _hosts(run_id)
+        self.robot, self.base = self.hosts = _hosts(run_id)
         # Above 101, the ports that DDS derives from the domain meet Linux's ephemeral ports.
         self.domain_id = 1 + zlib.crc32(run_id.encode()) % 101 if domain_id is None else domain_id
         self._middle = namespace_of(run_id, "middle") if bottleneck == "middle" else None
-        self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
+        self.rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
         if queue_bytes < MIN_BURST_BYTES:
             raise ValueError(f"the queue must hold one full frame: at least {MIN_BURST_BYTES} bytes")
         self._queue_bytes = queue_bytes
@@ -112,16 +109,6 @@ class SimLink:
         self._memory, self._is_memory_private = memory, is_memory_private
         self._processes: list[subprocess.Popen[Any]] = []
         self._undo = ExitStack()
-
-    @property
-    def hosts(self) -> tuple[Host, Host]:
-        """The two ends, robot first."""
-        return (self.robot, self.base)
-
-    @property
-    def rate_bytes_per_second(self) -> float:
-        """Rate in force in each direction (bytes/s)."""
-        return self._rate_bytes_per_second
 
     def __enter__(self) -> Self:
         with ExitStack() as undo:
@@ -143,7 +130,7 @@ class SimLink:
 
     def set_rate(self, rate_bytes_per_second: float) -> None:
         """Change the rate of both directions; queued packets stay, at STALLED all of them."""
-        self._rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
+        self.rate_bytes_per_second = _checked_rate(rate_bytes_per_second)
         for end in self._shaped():
             if rate_bytes_per_second == STALLED:
                 _stall(end, self._queue_bytes)
@@ -239,7 +226,7 @@ class SimLink:
             time.sleep(0.005)
 
     def _bucket(self) -> Bucket:
-        rate = self._rate_bytes_per_second
+        rate = self.rate_bytes_per_second
         return Bucket(rate_bytes_per_second=rate, burst_bytes=_burst_bytes(rate), queue_bytes=self._queue_bytes)
 
     def _tear_down(self) -> None:

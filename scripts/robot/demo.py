@@ -32,7 +32,7 @@ from scripts.bench.sides import SIDES, Side
 from scripts.bench.world import world_of
 from scripts.netns.simlink import usable_link
 from scripts.robot.proxy import HTTP_PORT, window
-from scripts.robot.report import Pair, as_document, final_table, losses_text, pair_up, verdict
+from scripts.robot.report import Pair, as_document, final_table, pair_up, verdict
 
 if TYPE_CHECKING:
     from scripts.bench.account import Account
@@ -83,7 +83,10 @@ def main() -> int:
         if args.serve:
             serve(schedule, duration_s, console)
             return 0
-        pairs = compare(schedule, duration_s, console)
+        _need_link()
+        logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
+        console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
+        pairs = compare(logs, schedule, duration_s)
     except ArpdError as error:
         console.print(f"scripts/demo: {error}", style="red", highlight=False, soft_wrap=True)
         return error.exit_code
@@ -95,23 +98,12 @@ def main() -> int:
         # A pipe has no width: rich would cut the table to 80 columns.
         wide = console if console.is_terminal else Console(width=160)
         wide.print(final_table(pairs))
-        for sentence in (verdict(pairs)[1], *losses_text(pairs), *_LEGEND):
+        for sentence in (verdict(pairs)[1], *_LEGEND):
             console.print(sentence, soft_wrap=True, highlight=False)
     return 0
 
 
-def compare(schedule: RateSchedule, duration_s: float, console: Console) -> list[Pair]:
-    """Run both sides one after the other, over the real link or, where namespaces are forbidden, in virtual time."""
-    usable, reason = usable_link("scripts.robot.demo", sys.argv[1:])
-    if not usable:
-        console.print(f"no real link here ({reason}): in virtual time", highlight=False, soft_wrap=True)
-        return compare_simulated(schedule, duration_s)
-    logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
-    console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
-    return compare_for_real(logs, schedule, duration_s)
-
-
-def compare_for_real(logs: Path, schedule: RateSchedule, duration_s: float) -> list[Pair]:
+def compare(logs: Path, schedule: RateSchedule, duration_s: float) -> list[Pair]:
     """Run both sides over the real link, one after the other."""
     return pair_up(
         _run(SIDES["plain"], logs / "without", schedule, duration_s, "without arpd"),
@@ -178,9 +170,7 @@ def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
     listener = socket.socket(fileno=int(inherited)) if inherited else _listen()
     listener.set_inheritable(True)
     os.environ[_LISTENER] = str(listener.fileno())
-    usable, reason = usable_link("scripts.robot.demo", sys.argv[1:])
-    if not usable:
-        raise DemoError(f"--serve needs the real link ({reason})")
+    _need_link()
     logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
     course = _course(schedule)
     with (
@@ -196,17 +186,10 @@ def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
             world.follow(course, time.monotonic(), duration_s)
 
 
-def compare_simulated(schedule: RateSchedule, duration_s: float) -> list[Pair]:
-    """Run both sides in virtual time."""
-    from arpd.daemon.scenario import Scenario, Way
-    from arpd.sim.demo import demo_settings
-
-    sides = []
-    with progress(f"simulating {duration_s:.0f} s", total=2) as shown:
-        for done, way in enumerate((Way.WITHOUT, Way.ARPD)):
-            shown(float(done), "with arpd" if way is Way.ARPD else "without arpd")
-            sides.append(Scenario(demo_settings(), schedule, duration_s, way=way).play().topics)
-    return pair_up(*sides)
+def _need_link() -> None:
+    usable, reason = usable_link("scripts.robot.demo", sys.argv[1:])
+    if not usable:
+        raise DemoError(f"no real link here ({reason}); in virtual time: arpd simulate --rate {FULL}")
 
 
 def _listen() -> socket.socket:

@@ -12,7 +12,7 @@ from scripts.netns.namespaces import inside
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scripts.netns.simlink import Host
+    from scripts.netns.link_end import Host
 
 HTTP_PORT = 9464
 

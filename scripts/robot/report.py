@@ -60,12 +60,6 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
     )
 
 
-def losses_text(pairs: Sequence[Pair]) -> list[str]:
-    """Return a line for each topic that lost samples under arpd; what it withheld on purpose is not lost."""
-    found = {pair.with_arpd.topic: pair.with_arpd.lost for pair in pairs}
-    return [f"{topic} lost {lost} samples with arpd." for topic, lost in found.items() if lost]
-
-
 HEADINGS = (
     *("topic", "source Hz", "latency p50 ms", "latency p99 ms", "loss %", "withheld %"),
     *("age p50 ms", "age p99 ms", "stalled %", "delivered MB"),
@@ -75,19 +69,17 @@ HEADINGS = (
 def row_of(pair: Pair) -> list[str]:
     """Return the cells of a topic: ``without → with arpd``."""
     about = [pair.without.topic, f"{pair.without.source_rate_hz:g}"]
-    return [*about, *map(_arrow, _cells(pair.without), _cells(pair.with_arpd))]
+    return [*about, *map("{} → {}".format, _cells(pair.without), _cells(pair.with_arpd))]
 
 
 def final_table(pairs: Sequence[Pair]) -> Table:
-    """Return both runs side by side, per topic and in all."""
+    """Return both runs side by side."""
     table = Table(title="rclpy defaults (RELIABLE, KEEP_LAST 10) → arpd", title_justify="left", pad_edge=False)
     for k, heading in enumerate(HEADINGS):
         name, _, unit = heading.rpartition(" ")
         table.add_column(f"{name}\n{unit}" if k else heading, justify="right" if k else "left", no_wrap=True)
     for pair in pairs:
         table.add_row(*row_of(pair), style="bold" if pair.is_overloaded else "")
-    table.add_section()
-    table.add_row("all", "", *map(_arrow, _totals([p.without for p in pairs]), _totals([p.with_arpd for p in pairs])))
     return table
 
 
@@ -122,46 +114,14 @@ def _milliseconds(value: float | None) -> str:
     return "never" if value is None else f"{value * 1e3:.0f}"
 
 
-def _arrow(without: str, with_arpd: str) -> str:
-    return f"{without} → {with_arpd}" if without or with_arpd else ""
-
-
 def _cells(result: TopicResult) -> list[str]:
     return [
         _milliseconds(result.latency_p50_s),
         _milliseconds(result.latency_p99_s),
-        _percent(result.loss_ratio),
-        _percent(result.withheld_ratio),
+        f"{100 * result.loss_ratio:.1f}",
+        f"{100 * result.withheld_ratio:.1f}",
         _milliseconds(result.age_p50_s),
         _milliseconds(result.age_p99_s),
-        _percent(result.stalled_ratio),
+        f"{100 * result.stalled_ratio:.1f}",
         f"{result.delivered_bytes / 1e6:.2f}",
     ]
-
-
-def _totals(results: Sequence[TopicResult]) -> list[str]:
-    """Return ratios over all samples, and the worst topic's p99, because a mean of percentiles means nothing."""
-    offered, expected = sum(r.offered for r in results), sum(r.expected for r in results)
-    return [
-        "",
-        "≤" + _milliseconds(_worst([r.latency_p99_s for r in results])),
-        _percent(_ratio(sum(r.lost for r in results), sum(r.sent for r in results))),
-        _percent(_ratio(sum(r.withheld for r in results), offered)),
-        "",
-        "≤" + _milliseconds(_worst([r.age_p99_s for r in results])),
-        _percent(max(0.0, _ratio(expected - offered, expected))),
-        f"{sum(r.delivered_bytes for r in results) / 1e6:.2f}",
-    ]
-
-
-def _percent(ratio: float) -> str:
-    return f"{ratio * 100:.1f}"
-
-
-def _worst(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return max(known) if len(known) == len(values) and known else None
-
-
-def _ratio(part: int, whole: int) -> float:
-    return part / whole if whole else 0.0

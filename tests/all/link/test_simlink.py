@@ -18,8 +18,8 @@ pytest.importorskip("pyroute2", reason="the simulated link needs pyroute2: pip i
 from pyroute2 import netns
 
 from arpd.model.errors import LinkError
-from scripts.netns.namespaces import inside
-from scripts.netns.simlink import SimLink, available, cleanup_stale
+from scripts.netns.namespaces import cleanup_stale, inside
+from scripts.netns.simlink import SimLink, available
 from tests.waiting import eventually
 
 WORKS, WHY_NOT = available()
