@@ -143,7 +143,7 @@ class PacedQueue:
             (self._due_s(lane, now_s, in_turn=False) for lane in free if lane.is_small or lane.is_unbound(now_s)),
             default=math.inf,
         )
-        if not self._has_room():
+        if first_s <= now_s or not self._has_room():
             return first_s
         in_turn_s = min((self._turn_s(lane, now_s) for lane in free), default=math.inf)
         return min(first_s, max(in_turn_s, self._free_s(now_s)))

@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from arpd.endpoint.lane import SMALL_BYTES
+from arpd.endpoint.queue import SOON_S
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.rcl import InvalidHandle
 
@@ -217,8 +218,8 @@ class WritingThread:
             self._changed.notify()
 
     def _wake_for_queue(self) -> None:
-        if self._next_s > 0.0 and self._queue.is_waiting:
-            self._wake(self._queue.due_s(self._clock()))
+        if self._next_s > (now_s := self._clock()) + SOON_S and self._queue.is_waiting:
+            self._wake(self._queue.due_s(now_s))
 
     def _run(self) -> None:
         # Without the lock: a context that shuts down has its own, and calls `stop`.

@@ -103,14 +103,19 @@ class _Lowest:
 
 
 class Received:
-    """Keeps account of the other end's chunks, for its receipts."""
+    """Keeps account of the other end's chunks, for its receipts.
+
+    Attributes
+    ----------
+    expects_s : when the next receipt is due if as much comes as before; -inf = nobody knows (s)
+    """
 
     def __init__(self) -> None:
         self._receipt = Receipt()
         self._offsets = _Lowest(_OFFSET_S)
         self._epoch_us = 0
         self._told = Receipt()
-        self._told_s = -math.inf
+        self._told_s = self.expects_s = -math.inf
 
     def note(self, session: int, number: int, departed_us: int, size: int, now_s: float) -> float:
         """Take a chunk; return its age: how much longer than the fastest of late it was on its way (s)."""
@@ -141,7 +146,9 @@ class Received:
 
     def take(self, now_s: float) -> Receipt:
         """Return the receipt, which then counts as sent."""
+        is_quick = (self._receipt.received - self._told.received) % WRAP >= _PROMPT_BYTES
         self._told, self._told_s = self._receipt, now_s
+        self.expects_s = now_s + _PROMPT_S if is_quick else -math.inf
         return self._receipt
 
 
@@ -174,6 +181,7 @@ class Flight:
         self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
         self._rate = 0.0  # at which chunks arrive (bytes/s)
         self._bests: deque[tuple[float, float]] = deque()  # time and rate
+        self._best = 0.0  # of these rates; every sample asks for it several times, and only a receipt changes it
 
     def restart(self) -> None:
         """Forget what was sent to a process that is gone."""
@@ -214,6 +222,7 @@ class Flight:
             self._arrivals.popleft()
         while self._bests and now_s - self._bests[0][0] > _BEST_S:
             self._bests.popleft()
+        self._best = max((rate for _, rate in self._bests), default=0.0)
 
     @property
     def relief(self) -> float:
@@ -236,7 +245,7 @@ class Flight:
     @property
     def window_bytes(self) -> float:
         """Most bytes that may be on their way."""
-        rate = _GROWTH * max((rate for _, rate in self._bests), default=0.0)
+        rate = _GROWTH * self._best
         if self.capacity is not None:
             rate = min(rate, self.capacity)
         if self._queue_s > _QUEUED_S:

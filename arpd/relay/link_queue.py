@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 _CHUNK_S = 0.0025  # of the link; samples of one packet wait behind one chunk
 _LEAST_PACKETS, _MOST_PACKETS = 2, 16
 _UNKNOWN_PACKETS = 4
-_COMPANY_PACKETS, _COMPANY_S = 2.0, 0.005  # small messages wait for others: so many packets' time, at most so long
+# Small messages wait for others: so many packets' time, at most so long, and so long on any link, because a packet
+# costs both ends as much as the samples in it.
+_COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
@@ -59,6 +61,7 @@ class LinkQueue(PacedQueue):
         self.flight = Flight()
         self._coach = Lane(together)
         self._departs_s = -math.inf  # when the next messages leave together
+        self._expects_s = -math.inf  # the same where others will most likely have come
         self._share = math.inf  # link time a second, may be spent
         self._was_out = False
         self._received = Received()
@@ -176,6 +179,15 @@ class LinkQueue(PacedQueue):
                 each.give_up_old()
         return super().take(now_s)
 
+    def due_s(self, now_s: float) -> float:
+        """Return when `take` may have something, ``inf`` = not before something changes (s).
+
+        Where much comes there will be something: so neither a message that may not leave yet has to wake the thread,
+        nor a chunk whose receipt is not due.
+        """
+        expected = (each_s for each_s in (self._expects_s, self._received.expects_s) if each_s > now_s)
+        return min([super().due_s(now_s), *expected])
+
     def _is_open(self, now_s: float) -> bool:
         return self.flight.has_room(is_small=True) and not self.flight.is_out(now_s)
 
@@ -206,6 +218,7 @@ class LinkQueue(PacedQueue):
             room -= sum(map(len, messages))
         is_full = any(each in self._active and self._comes_first(each, now_s) for each in boarding)
         self._departs_s = now_s if is_full else now_s + self._company_s
+        self._expects_s = self._departs_s if len(aboard) > 1 else -math.inf
         if not aboard:
             return None
         message = b"".join(message for _, message in aboard)
@@ -271,4 +284,5 @@ class LinkQueue(PacedQueue):
         packets = _UNKNOWN_PACKETS if capacity is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         packets = min(max(packets, _LEAST_PACKETS), _MOST_PACKETS)
         self._chunk_bytes = packets * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
-        self._company_s = min(_COMPANY_S, _COMPANY_PACKETS * FRAGMENT_BYTES / (capacity or math.inf))
+        packets_s = _COMPANY_PACKETS * FRAGMENT_BYTES / (capacity or math.inf)
+        self._company_s = min(_COMPANY_S, max(_LEAST_COMPANY_S, packets_s))

@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import re
+import sys
 import threading
 import time
 from contextlib import closing
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _TICK_S, _LOOK_S, _IDLE_S = 0.1, 0.5, 1.0  # between two steps: of an end, under a prefix, and of neither
+_SWITCH_S = 0.0005  # most that a sample waits for a thread that computes; Python's 5 ms suit a program that computes
 _M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 128 * 1024
 
 
@@ -71,6 +73,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         If ROS 2 does not start here, or its middleware or profile lets an end hear itself.
     """
     configure_logging(log_level, name="arpd-relay-far" if is_far else "arpd-relay")
+    sys.setswitchinterval(_SWITCH_S)
     settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
     stopping = threading.Event()
     stop_on_signals(stopping)

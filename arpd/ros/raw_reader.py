@@ -67,8 +67,11 @@ class Inlet(Protocol):
     handle: Any
     notify: Any
 
-    def read(self) -> bool:
-        """Take and deliver some; return whether that was all."""
+    def read(self, announced: int) -> int:
+        """Take and deliver some of what was announced; return how many are left.
+
+        More may have been announced than there are: a full history drops the oldest.
+        """
 
 
 class ReadingThread:
@@ -180,27 +183,27 @@ class ReadingThread:
             os.close(self._retired.popleft())
 
     def _run(self) -> None:
-        unfinished: set[int] = set()  # readers with more than one turn takes
+        left: dict[int, int] = {}  # what was announced and is not taken yet, by event
         while True:
             self._close_retired()
             wait_s = min(_TURN_S, self._step_now() - self._clock())
-            ready = {event for event, _ in self._events.poll(0 if unfinished else max(0.0, wait_s))}
+            ready = {event for event, _ in self._events.poll(0 if left else max(0.0, wait_s))}
             self.note_finished()
             if self._is_stopping:
                 return
-            for event in ready | unfinished:
-                unfinished.discard(event)
+            for event in ready | left.keys():
+                announced = left.pop(event, 0)
                 reader = self._readers.get(event)
                 try:
                     if event in ready:
-                        os.eventfd_read(event)  # first: later samples set it again
-                    if reader is not None and not reader.read():
-                        unfinished.add(event)
+                        announced += os.eventfd_read(event)
+                    if reader is not None and (more := reader.read(announced)):
+                        left[event] = more
                 except (InvalidHandle, OSError):
                     continue  # just destroyed
                 except Exception:
                     log.exception("a sample of %s failed; the next one follows", reader.name if reader else "a topic")
-                    unfinished.add(event)
+                    left[event] = announced
             if ready and self._rest_s:
                 time.sleep(self._rest_s)
 
@@ -269,23 +272,27 @@ class RawReader:
         self._last, self._repeats = identity, 0
         return len(sample.data) >= _LEAST_BYTES
 
-    def read(self) -> bool:
-        """Take and deliver some samples; return whether that was all."""
+    def read(self, announced: int) -> int:
+        """Take and deliver some samples; return how many are left.
+
+        To ask for one more, only to hear that there is none, would cost as much as to take it.
+        """
         thread = self._thread
         for _ in range(_MOST_AT_ONCE):
-            if (sample := thread.take(self.handle)) is None:
-                return True
+            if announced <= 0 or (sample := thread.take(self.handle)) is None:
+                return 0
             if self._is_new(sample):
+                announced -= 1
                 self._deliver(sample)
                 if not self._has_room_for(sample):
-                    return True
+                    return 0
             elif self._repeats > _MOST_REPEATS:
                 log.warning("%s gives one sample again and again; a new reader takes its place", self.name)
                 self._repeats = 0
                 self._begin_again()
-                return True
+                return 0
             thread.note_finished()
-        return False
+        return announced
 
     def _has_room_for(self, sample: Sample) -> bool:
         """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one."""

@@ -59,6 +59,27 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(connect, thread, eventuall
             gate.set()
 
 
+def test_it_asks_for_no_more_samples_than_were_announced(connect, thread, eventually, monkeypatch):
+    """Each sample is taken once, and nobody asks for another one only to hear that there is none."""
+    taken, asked = [], []
+
+    class Counting:
+        def __getattr__(self, name):
+            return getattr(real, name)
+
+        def take(self, *arguments):
+            asked.append(real.take(*arguments))
+            return asked[-1]
+
+    real = thread._rcl
+    monkeypatch.setattr(thread, "_rcl", Counting())
+    _, publisher = connect(taken.append)
+    for number in range(50):
+        publisher.publish(String(data=str(number)))
+    eventually("all samples are taken", lambda: len(taken) == 50)
+    assert asked == [0] * 50
+
+
 def test_an_event_stays_open_while_the_thread_may_still_read_it(connect, eventually):
     """The descriptor of a destroyed reader goes to nobody before the thread has finished its round."""
     is_busy, gate = threading.Event(), threading.Event()

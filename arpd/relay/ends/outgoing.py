@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from arpd.ros.raw_reader import Sample
 
 _NAMED_AS_GROUP = "a group of topics has this name; give the group another one under relay.groups"
+_REST_S = 0.0015  # most that a sample waits behind others; of an arm's thousand a second several are read in a turn
 _PLANS_S = 5.0  # between changes of the plans that it tells: each is a message on the link
 
 
@@ -114,7 +115,7 @@ class Outgoing:
         self._topics: dict[str, Surveyed] = {}
         self._planned: dict[str, tuple[int, int]] = {}  # that it tells, by the name on the link
         self._planned_s = 0.0  # when it may tell others
-        self.thread = ReadingThread()
+        self.thread = ReadingThread(rest_s=_REST_S)
         self.offers: dict[str, TopicOffer] = {}
         self.carried: dict[str, Carried] = {}
         self.refused: dict[str, str] = {}

@@ -98,13 +98,13 @@ class GhostServer(_Endpoint):
         self._server = node.create_service(self.kind, name, lambda _request, answer: answer, qos_profile=_QOS)
         super().__init__(self._server, name, rcl().notify_server, thread)
 
-    def read(self) -> bool:
-        """Take a request; return whether there was none."""
+    def read(self, announced: int) -> int:
+        """Take a request; return how many may be left."""
         with self.handle:
             request, header = self.handle.service_take_request(self.kind.Request)
         if header is not None:
             self._on_request(request, header)
-        return header is None
+        return 0 if header is None else announced
 
     def _leave(self, header: Any, response: Any) -> int:
         try:
@@ -140,13 +140,13 @@ class LocalClient(_Endpoint):
         self._client = node.create_client(self._kind, name, qos_profile=_QOS)
         super().__init__(self._client, name, rcl().notify_client, thread)
 
-    def read(self) -> bool:
-        """Take a response; return whether there was none."""
+    def read(self, announced: int) -> int:
+        """Take a response; return how many may be left."""
         with self.handle:
             header, response = self.handle.take_response(self._kind.Response)
         if header is not None and (call := self._running.pop(header.request_id.sequence_number, None)) is not None:
             self._book.finish(call, bytes(serialize_message(response)))
-        return header is None
+        return 0 if header is None else announced
 
     def _is_ready(self, now_s: float) -> bool:
         """Return whether a request may leave: the server must know this client, also after its restart."""

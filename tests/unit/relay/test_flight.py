@@ -152,3 +152,17 @@ def test_another_version_or_length_is_refused(sign, version, other):
         if data[:1] != good[:1] or len(data) != len(good):
             with pytest.raises(ValueError, match="version"):
                 decode_sign(data)
+
+
+def test_after_a_receipt_for_much_the_next_one_is_expected_and_after_one_for_little_none():
+    """So of chunks that come quickly none has to wake the thread that sends receipts."""
+    received = Received()
+    for number, (size, is_quick) in enumerate([(20_000, True), (100, False)], 1):
+        received.note(7, number, 0, size, 10.0 + number)
+        received.take(10.0 + number)
+        assert (received.expects_s > 10.0 + number) == is_quick
+    received.note(7, 3, 0, 20_000, 20.0)
+    received.take(20.0)
+    expected_s = received.expects_s
+    received.note(7, 4, 0, 20_000, 20.001)
+    assert received.due_s() == expected_s

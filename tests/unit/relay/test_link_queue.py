@@ -323,6 +323,36 @@ def test_a_topic_quicker_than_packets_leave_does_not_wait():
     assert quick.withheld.total() == 0
 
 
+def test_on_a_fast_link_too_quick_topics_share_their_packets():
+    """Two topics of 500 Hz take a packet for two samples: without company each would have its own."""
+    link = Link(capacity=20 * CAPACITY)
+    price = replace(price_of(1.0), capacity_bytes_per_second=link.capacity)
+    for name, size, after_s in (("joints", 410, 0.0), ("wrench", 420, 0.0003)):
+        link.lane(name, replace(ROW, rate_hz=600.0, wire_bytes=600.0, packets=1), price, has_company=True)
+        link.after(after_s, partial(link.publish, name, 500.0, size))
+    link.run(1.0)
+    packets = link.arrived["together"]
+    assert sum(map(len, packets)) > 490 * (410 + 420)
+    assert len(packets) < 600
+
+
+def test_the_thread_wakes_by_itself_for_what_quick_topics_will_bring():
+    """After a packet of several messages the next departure is due without any; after one of a single message none."""
+    link = Link()
+    for name in "ab":
+        link.lane(name, has_company=True)
+    link.offer("a", bytes(100))
+    assert loads(link)[0]
+    assert math.isinf(link.queue.due_s(link.now_s))
+    for name in "ab":
+        link.offer(name, bytes(100))
+    link.now_s = link.queue.due_s(link.now_s)
+    assert loads(link)[0]
+    due_s = link.queue.due_s(link.now_s)
+    assert link.now_s < due_s < link.now_s + 0.01
+    assert math.isinf(link.queue.due_s(due_s))
+
+
 def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
     """Its small messages would overtake the large one on another writer."""
     link = Link()
