@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 from scripts.bench.harness import conditions, watched
-from scripts.bench.report import RESULTS, Summary, write_pages
+from scripts.bench.report import RESULTS, Summary, targets, write_pages
 from scripts.bench.robots import CELL, summary_of
 from scripts.bench.world import TREE
 
@@ -33,8 +33,8 @@ SCENARIOS = {
         1.5,
         "how do robots on links that change fare with arpd, and with what else there is?",
     ),
-    "paper": ("paper.play", 5, 1.5, "does the paper's optimum hold with real ROS 2?"),
-    "swap": ("swap.play", 4, 1.5, "what does a change of QoS lose?"),
+    "paper": ("paper.play", 6, 1.5, "does the paper's optimum hold with real ROS 2?"),
+    "swap": ("swap.play", 5, 1.5, "what does a change of QoS lose?"),
     "faults": ("faults.play", 6, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
     "cost": ("cost.play_topics", 5, 1, "what do 12 to 1,000 topics cost?"),
     "pi": ("cost.play_pi", 4, 1, "does a Raspberry Pi suffice?"),
@@ -72,7 +72,7 @@ def is_valid(name: str, *, is_quick: bool, is_full: bool, only: str, is_part: bo
         more = ({"only": only} if only else {}) | ({"rounds": FULL_ROUNDS} if is_full else {})
         summary: Summary = play(is_quick=is_quick, **more)
     summary.conditions.append(noted | ({"of": only} if only else {}))
-    print(summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
+    print(targets({name: summary}), summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
     path = (out or RESULTS) / f"{name}.json"
     if out or not (is_part or noted.get("void")):
         if only and name in PARTS and path.exists():

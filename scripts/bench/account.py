@@ -13,13 +13,12 @@ from arpd.sim.result import percentile
 from scripts.bench.samples import sources_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from scripts.bench.samples import Topic
     from scripts.bench.sides import Robot
 
 GROUPS = ("commands", "small", "paired", "large")
-LATE_MS = 100.0
 _MS = 1e-6  # of a nanosecond
 _S = 1e-9
 AGE_S = 0.05  # between two looks at the age
@@ -83,7 +82,6 @@ class Account:
             "p50_ms": percentile(latencies, 0.5),
             "p99_ms": percentile(latencies, 0.99),
             "max_ms": max(latencies, default=None),
-            "late": sum(latency > LATE_MS for latency in latencies),
             "age_p50_s": percentile(self.ages_s[name], 0.5),
             "age_p99_s": percentile(self.ages_s[name], 0.99),
             "gap_s": max(part["gap_s"] for part in parts),
@@ -155,23 +153,6 @@ class Account:
         topic = self.topics[name]
         return max(0, int(topic["published"] - topic["delivered"] - self.withheld.get(name, 0)))
 
-    def pooled(self) -> dict[str, float | None]:
-        """Return latency and age over all topics, each with the same weight; a lost sample never arrives."""
-        lost = {name: self.lost(name) for name in self.topics}
-        due = {name: each["delivered"] + lost[name] for name, each in self.topics.items()}
-        sent = sum(each["published"] for each in self.topics.values())
-        commands = [each for each in self.topics.values() if each["group"] == "commands"]
-        late = sum(each["published"] - each["delivered"] + each["late"] for each in commands)
-        delivered_bytes = sum(each["delivered"] * each["bytes"] for each in self.topics.values())
-        return {
-            **{f"p{q}_ms": _weighted(self._latencies_ms, due, q / 100) for q in (50, 99)},
-            **{f"age_p{q}_s": _weighted(self.ages_s, {}, q / 100) for q in (50, 99)},
-            "lost_percent": 100.0 * sum(lost.values()) / max(1, sent),
-            "withheld_percent": 100.0 * sum(self.withheld.values()) / max(1, sent),
-            "late_commands_percent": 100.0 * late / max(1, sum(each["published"] for each in commands)),
-            "goodput_mbit": delivered_bytes * 8e-6 / (self.until_s - self.from_s),
-        }
-
     def sets_per_second(self) -> float:
         """Return how many samples of one number came whole on all topics of the robot's group."""
         first = max(self.noted[source]["first"] or 0 for name in self._groups for source in self._sources[name])
@@ -211,13 +192,3 @@ class Account:
                     is_beside = any(begin_s < at_s < over_s for begin_s, over_s in spans)
                     beside, otherwise = beside + is_beside, otherwise + (not is_beside)
         return {"beside": beside, "otherwise": otherwise, "flows again s": max(again_s), "never again": never_again}
-
-
-def _weighted(values: dict[str, list[float]], due: dict[str, int], q: float) -> float | None:
-    """Return a percentile in which every topic has the same weight; what is due and missing is never."""
-    names: Sequence[str] = [name for name, known in values.items() if known or due.get(name)]
-    every = np.array([value for name in names for value in values[name]])
-    weights = np.array([1.0 / max(due.get(name, 0), len(values[name])) for name in names for _ in values[name]])
-    order = np.argsort(every)
-    rank = int(np.searchsorted(np.cumsum(weights[order]), q * len(names) - 1e-9))
-    return float(every[order[rank]]) if rank < len(every) else None

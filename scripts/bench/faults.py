@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import random
-import re
 import signal
 import threading
 import time
@@ -30,7 +29,6 @@ from scripts.bench.world import world_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from scripts.bench.world import World
 
@@ -38,7 +36,6 @@ MINUTES, QUICK_MINUTES = 2.5, 0.75
 _AFTER_KILL_S = 1.0  # RestartSec= of the units
 _FAST, _SLOW, _OUT_S, _LOSS = 20 * MBIT, 2 * MBIT, 4.0, 0.01
 _PLANNED_S = 30.0
-_LOUD = re.compile(r"^(WARNING|ERROR|CRITICAL) ", re.MULTILINE)
 SETS = ("/left/image", "/left/camera_info", "/right/image")
 #: Kills in ten minutes, by what is killed; a shorter run has its share of each, and at least one.
 KILLS: dict[str, dict[tuple[str, ...], int]] = {
@@ -171,7 +168,6 @@ def played(side: str, minutes: float, seed: int) -> dict[str, Any]:
         account, spent = world.play(course, 60.0 * minutes, events=story.events, drain_s=10.0)
         for thread in story.watching:
             thread.join(_PLANNED_S)
-        loud = {name: _loud(world.workdir / f"{name}.log") for name in world.daemons}
     breaks = [(account.from_s + begin_s, account.from_s + over_s) for begin_s, over_s in story.breaks]
     rows = []
     for name, row in account.topics.items():
@@ -205,23 +201,8 @@ def played(side: str, minutes: float, seed: int) -> dict[str, Any]:
     back_s = max(known) if known and len(known) == len(story.planned_s) else None
     figures = [figure(f"{side}: {what}", many, most=0) for what, many in counted.items()]
     figures.append(figure(f"{side}: kill -9 of run until all is planned again, longest", back_s, "s", most=5.0))
-    processes = [
-        {
-            "side": side,
-            "process": name,
-            "MiB at first": round(spent["first_rss_bytes"].get(name, 0) / 2**20),
-            "at most": round(spent["max_rss_bytes"][name] / 2**20),
-            "lines at WARNING and above": loud[name],
-        }
-        for name in loud
-    ]
     events = f"{side}: {', '.join(f'{many} × {what}' for what, many in story.done.items())}"
-    return {"events": events, "figures": figures, "topics": rows, "calls": [calls], "processes": processes}
-
-
-def _loud(path: Path) -> int:
-    """Return the number of lines at WARNING and above."""
-    return len(_LOUD.findall(path.read_text("utf-8", errors="replace"))) if path.exists() else 0
+    return {"events": events, "figures": figures, "topics": rows, "calls": [calls]}
 
 
 def play(*, is_quick: bool, rounds: int = 1) -> Summary:
@@ -240,6 +221,5 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
         tables=[
             table("", every("topics")),
             table("Calls from the base, one after the other", every("calls")),
-            table("arpd's processes", every("processes")),
         ],
     )

@@ -28,7 +28,6 @@ READERS = {
     "call": ("relay.test_calls", "test_random_bytes_raise_nothing_else"),
     "sign": ("relay.test_flight", "test_another_version_or_length_is_refused"),
     "discovery": ("host.test_discovery", "test_no_packet_raises"),
-    "credentials": ("web.test_guard", "test_credentials_come_back_as_they_went_and_noise_does_no_harm"),
 }
 _SECONDS, _QUICK_S = 15.0, 2.0
 _INSTRUMENTED = ["arpd", "yaml", "json"]

@@ -1,7 +1,8 @@
 """Summaries of scenarios, and docs/results.md and README.md made from them.
 
 A scenario returns a `Summary`: figures, each beside its bound and its target, and tables. Nothing else is stored.
-`python -m scripts.bench --docs` writes each into the page between `<!-- NAME:begin -->` and `<!-- NAME:end -->`.
+`python -m scripts.bench --docs` writes each into the page between `<!-- NAME:begin -->` and `<!-- NAME:end -->`, and
+all figures that have a target into the block `targets`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
@@ -19,7 +20,7 @@ from typing import Any
 REPO = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).parent / "results"
 _WIDTH = 130
-_MOST_ROWS = 22  # of a table that is not folded
+_MOST_ROWS = 12  # of a table that is not folded
 _BLOCK = re.compile(r"(?P<begin><!-- (?P<name>[\w-]+):begin -->\n).*?(?P<end><!-- (?P=name):end -->\n)", re.DOTALL)
 #: Head of a column, and the value of a row: its key, or a function; a key alone is its own head.
 Column = str | tuple[str, str | Callable[[Any], Any]]
@@ -136,16 +137,9 @@ class Summary:
         return whole
 
     def markdown(self) -> str:
-        """Return it for a page: figures that miss their target first; those that meet it, and long tables, folded."""
+        """Return it for a page, without the figures that have a target; long tables are folded."""
         parts = [self.about, _said(self.conditions)]
-        aimed = [each for each in self.figures if each.target is not None]
-        met = [each for each in aimed if each.is_met]
-        if aimed:
-            parts.append(f"{len(aimed) - len(met)} of {len(aimed)} figures with a target miss it.")
-        others = [each for each in self.figures if each not in met]
-        parts.append(_figures(sorted(others, key=lambda each: each.is_met)))
-        if met:
-            parts.append(_folded(f"Figures that meet their target: {len(met)}", _figures(met)))
+        parts.append(_figures([("", each) for each in self.figures if each.target is None]))
         for table in self.tables:
             rows = _markdown(table.columns, [list(map(shown, row)) for row in table.rows])
             if len(table.rows) > _MOST_ROWS:
@@ -153,6 +147,14 @@ class Summary:
             else:
                 parts += [f"{table.title}:" if table.title else "", rows]
         return "\n\n".join(filter(None, parts))
+
+
+def targets(known: Mapping[str, Summary]) -> str:
+    """Return all figures that have a target: those that miss it, then, folded, those that meet it."""
+    aimed = [(name, each) for name, one in known.items() for each in one.figures if each.target is not None]
+    missed, met = ([pair for pair in aimed if pair[1].is_met is is_met] for is_met in (False, True))
+    parts = [f"{len(missed)} of {len(aimed)} targets are missed." if aimed else "", _figures(missed)]
+    return "\n\n".join(filter(None, [*parts, _folded(f"Met: {len(met)}", _figures(met)) if met else ""]))
 
 
 def _folded(title: str, text: str) -> str:
@@ -176,9 +178,11 @@ def _said(conditions: Iterable[dict[str, Any]]) -> str:
     return " ".join(sentences)
 
 
-def _figures(figures: Sequence[Figure]) -> str:
-    """Return a table, without the columns that none of them has."""
+def _figures(named: Sequence[tuple[str, Figure]]) -> str:
+    """Return a table of figures and their scenarios, without the columns that none of them has."""
+    figures = [each for _, each in named]
     columns = {
+        "scenario": [name for name, _ in named],
         "figure": [each.what for each in figures],
         "value": [shown(each.value) if each.is_met else f"**{shown(each.value)}**" for each in figures],
         "bound": ["" if each.bound is None else shown(each.bound) for each in figures],
@@ -214,18 +218,6 @@ def _short(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.4g}") if math.isfinite(value) else None
     return value
-
-
-def spread(values: Iterable[float | None]) -> str | None:
-    """Return the median of several rounds, and in brackets the largest; None counts as never."""
-    every = list(values)
-    known = sorted(value for value in every if value is not None)
-    if not every or not known:
-        return None
-    if len(known) < len(every):
-        return f"never in {len(every) - len(known)} of {len(every)}"
-    middle, worst = shown(_short(float(median(known)))), shown(_short(float(known[-1])))
-    return middle if middle == worst else f"{middle} ({worst})"
 
 
 def ranged(values: Iterable[Any]) -> str | None:
@@ -293,7 +285,7 @@ def _rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> s
 def write_pages() -> None:
     """Fill every block of docs/results.md and README.md whose summary is there."""
     known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
-    blocks = {name: summary.markdown() for name, summary in known.items()}
+    blocks = {name: summary.markdown() for name, summary in known.items()} | {"targets": targets(known)}
     if robots := known.get("robots"):
         if robots.rounds:
             blocks["rivals"] = _rivals(robots.rounds)

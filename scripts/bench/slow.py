@@ -11,7 +11,6 @@ core is as much faster as 7-Zip on one thread says: 2967 and 1769 MIPS (github.c
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 import threading
@@ -158,15 +157,6 @@ class SlowComputer:
             _write(folder / "cpu.cfs_quota_us", str(quota_us))
         else:
             _write(folder / "cpu.max", f"{quota_us} {period_us}")
-
-
-def available() -> tuple[bool, str]:
-    """Return whether this host lets this process make a slow computer, by making one, and if not, the reason."""
-    try:
-        with SlowComputer(Board(name="probe", share=1.0), f"arpd-probe-{os.getpid()}"):
-            return True, ""
-    except ArpdError as error:
-        return False, str(error)
 
 
 def _threads_of(pid: int) -> list[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scripts.bench.report import Summary, Table, figure
+from scripts.bench.report import Summary, Table, figure, targets
 from scripts.bench.robots import CELL, FAULTS, summary_of
 
 
@@ -49,10 +49,18 @@ def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
     ]
 
 
-def test_figures_that_miss_their_target_stand_first_and_the_others_are_folded():
-    """A long table is folded, too; a column that no figure has is left out."""
-    figures = [figure("well", 1.0, "s", most=2.0), figure("late", 3.0, "s", most=2.0)]
-    shown, _, folded = summary([["tb4", "plain", 1]] * 30, figures=figures).markdown().partition("<details>")
-    assert "1 of 2 figures" in shown
-    assert ("| late | **3** | ≤ 2 | s |" in shown, "| well | 1 | ≤ 2 | s |" in folded) == (True, True)
-    assert ("tb4" in shown, folded.count("tb4"), folded.count("<details>")) == (False, 30, 1)
+def test_all_targets_stand_in_one_list_and_nowhere_else():
+    """Those that are missed stand first, the others are folded; a column that no figure has is left out."""
+    figures = [figure("well", 1.0, "s", most=2.0), figure("late", 3.0, "s", most=2.0), figure("seen", 4.0)]
+    known = {"demo": summary([], figures=figures), "swap": summary([], figures=figures[:1])}
+    shown, _, folded = targets(known).partition("<details>")
+    assert "1 of 3 targets" in shown
+    assert ("| demo | late | **3** | ≤ 2 | s |" in shown, "| swap | well | 1 | ≤ 2 | s |" in folded) == (True, True)
+    section = known["demo"].markdown()
+    assert ("| seen | 4 |" in section, "| late |" in section, "well" in section) == (True, False, False)
+
+
+def test_a_long_table_is_folded():
+    """A reader sees its title, and opens it."""
+    shown, _, folded = summary([["tb4", "plain", 1]] * 30).markdown().partition("<details>")
+    assert ("tb4" in shown, folded.count("tb4")) == (False, 30)
