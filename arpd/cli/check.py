@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,8 +61,9 @@ def _check(options: argparse.Namespace) -> int:
         return 0
     for warning in warnings:
         print(f"{options.file}: {warning}", file=sys.stderr)
-    defaults = Settings(topics=tuple(TopicSettings(name=topic.name) for topic in settings.topics))
-    differing = changes(defaults, settings)
+    given = asdict(Settings(defaults=settings.defaults).topic(""))
+    usual = Settings(topics=tuple(TopicSettings(name=topic.name, **given) for topic in settings.topics))
+    differing = changes(usual, settings)
     print(f"OK (topics: {len(settings.topics)}, keys that differ from the default: {len(differing)})")
     for key, change in differing.items():
         print(f"  {key}: {change}")

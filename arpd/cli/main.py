@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import codecs
+import errno
 import os
 import re
 import sys
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
+_UNWRITTEN = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}  # nothing but standard output is written
 # What stands for a character that a terminal lacks; as wide, for tables.
 _PLAIN = str.maketrans("…→≤≥−·µ±▁▂▃▄▅▆▇█", "~><>-.u~_.:-=+*#")
 COMMANDS = {
@@ -74,15 +76,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return RosUnavailableError.exit_code
     except KeyboardInterrupt:
         return _INTERRUPTED
-    except BrokenPipeError:
-        # The interpreter flushes stdout at exit, which must not raise again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _BROKEN_PIPE
+    except OSError as error:
+        return _unwritten(error)
     return code
 
 
+def _unwritten(error: OSError) -> int:
+    """Say that standard output took no more, or raise what was no fault of its."""
+    if error.errno not in _UNWRITTEN:
+        raise error
+    output = Path(f"/proc/self/fd/{sys.stdout.fileno()}").readlink()
+    # The interpreter flushes stdout at exit, which must not raise again.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if error.errno == errno.EPIPE:
+        return _BROKEN_PIPE
+    print(f"arpd: {output}: {error.strerror}", file=sys.stderr)
+    return ArpdError.exit_code
+
+
 def _write_plainly() -> None:
-    """Let no stream refuse a character that its encoding lacks."""
+    """Let no stream be missing where it is closed, or refuse a character that its encoding lacks."""
 
     def plain(error: UnicodeError) -> tuple[str, int]:
         assert isinstance(error, UnicodeEncodeError)
@@ -90,8 +103,10 @@ def _write_plainly() -> None:
         return lacking.translate(_PLAIN).encode("ascii", "replace").decode(), error.end
 
     codecs.register_error("plain", plain)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # None where it is closed
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
+        setattr(sys, name, stream)
+        if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="plain")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import struct
 import time
@@ -10,15 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import psutil
-
 from arpd.host.interface import index_of, ipv4_addresses
+from arpd.host.kernel import PROC
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import printable
 from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, UDP_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
 _PORT, _PORTS_OF_DOMAIN, _MOST_DOMAIN = 7400, 250, 232
@@ -42,7 +42,7 @@ class Announcer:
     Parameters
     ----------
     host : name or address of its computer
-    process : its command, or its number in words; empty = not known
+    process : its command, or its number in words where none, or several, of this computer go by that
     is_here : whether it runs on this computer
     is_arpds : whether it is a process of arpd's; never known of another computer's
     transports : over what it tells of its topics, as "UDPv4"; empty = not known
@@ -72,7 +72,12 @@ class HeardDiscovery:
 
 
 def heard(
-    packets: Iterable[tuple[bytes, str]], *, own: Collection[str], domain_id: int, duration_s: float
+    packets: Iterable[tuple[bytes, str]],
+    *,
+    own: Collection[str],
+    domain_id: int,
+    duration_s: float,
+    proc: Path = PROC,
 ) -> HeardDiscovery:
     """Return what the datagrams of a discovery port tell, each with the address that it came from.
 
@@ -91,7 +96,8 @@ def heard(
             more, kinds = announced(packet)
             properties.update(more)
             transports.update(kinds)
-    announcers = [_announcer(*one, own) for one in participants.values()]
+    running = _running(proc)
+    announcers = [_announcer(*one, own, running) for one in participants.values()]
     return HeardDiscovery(
         domain_id=domain_id,
         announcers=tuple(sorted(announcers, key=lambda one: (not one.is_here, one.host, one.process))),
@@ -99,9 +105,32 @@ def heard(
     )
 
 
-def _announcer(address: str, properties: dict[str, str], transports: set[str], own: Collection[str]) -> Announcer:
+def _running(proc: Path) -> dict[str, list[tuple[Path, list[str]]]]:
+    """Return the processes of this computer, each with its command, by the numbers that they themselves see.
+
+    In a container these are others than here, and several processes may have one.
+    """
+    found: dict[str, list[tuple[Path, list[str]]]] = {}
+    for process in proc.glob("[0-9]*"):
+        with suppress(OSError):
+            numbers = re.findall(r"^NSpid:.*\t(\d+)$", (process / "status").read_text(errors="replace"), re.MULTILINE)
+            words = [word for word in (process / "cmdline").read_text(errors="replace").split("\0") if word]
+            for number in numbers if words else ():  # the kernel's own have no command
+                found.setdefault(number, []).append((process, words))
+    return found
+
+
+def _announcer(
+    address: str,
+    properties: dict[str, str],
+    transports: set[str],
+    own: Collection[str],
+    running: Mapping[str, Sequence[tuple[Path, list[str]]]],
+) -> Announcer:
     is_here, number = address in own, properties.get(_PROCESS, "")
-    program = _program(number) if is_here else Path()
+    known = running.get(number, ()) if is_here else ()
+    process, words = known[0] if len(known) == 1 else (None, [])
+    program = _program(*words)
     return Announcer(
         host=properties.get(_HOST, "").rpartition(":")[0] or address,
         process=printable(program.name, longest=_MOST_NAME) or f"process {number or 'unknown'}",
@@ -109,16 +138,12 @@ def _announcer(address: str, properties: dict[str, str], transports: set[str], o
         # In a workspace of colcon it is lib/arpd/relay.
         is_arpds=program.name.partition(".")[0] == "arpd" or program.parts[-3:-1] == ("lib", "arpd"),
         transports=frozenset(transports),
-        memory=_memory(number) if is_here else None,
+        memory=_memory(process) if process else None,
     )
 
 
-def _program(number: str) -> Path:
-    """Return what a process of this computer runs; where that is Python, the script or the module."""
-    try:
-        program, *words = filter(None, psutil.Process(int(number)).cmdline())
-    except (psutil.Error, ValueError, OverflowError):
-        return Path()
+def _program(program: str = "", *words: str) -> Path:
+    """Return what a command runs; where that is Python, the script or the module."""
     if Path(program).name.startswith("python"):
         # What follows -c is code, and no name.
         script = next((word for word in words if word == "-c" or not word.startswith("-")), "-c")
@@ -126,17 +151,14 @@ def _program(number: str) -> Path:
     return Path(program)
 
 
-def _memory(number: str) -> tuple[int, ...] | None:
+def _memory(process: Path) -> tuple[int, ...] | None:
     """Return the user of a process of this computer, and where they may be seen, the numbers of its /dev/shm."""
-    try:
-        process = Path("/proc", str(int(number)))
-        user = process.stat().st_uid
-    except (OSError, ValueError, OverflowError):
-        return None
+    told: tuple[int, ...] | None = None
     with suppress(OSError):
+        told = (process.stat().st_uid,)
         found = (process / "root/dev/shm").stat()
-        return user, found.st_dev, found.st_ino
-    return (user,)
+        told += (found.st_dev, found.st_ino)
+    return told
 
 
 def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:

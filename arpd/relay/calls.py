@@ -224,6 +224,11 @@ class CallBook:
         numbers = [number for number, call in self._waiting.items() if call.service == service]
         self._give_up(numbers, FailureReason.NO_SERVER, message)
 
+    def close(self) -> None:
+        """End all calls, because this end stops."""
+        words = "this end of the relay stops; the call may have run"
+        self._give_up([*self._waiting], FailureReason.UNREACHABLE, words)
+
     def _give_up(self, numbers: Iterable[int], reason: FailureReason, message: str) -> None:
         for number, call in [(number, self._waiting.pop(number)) for number in numbers]:
             # Takes the place of its request where that has not left yet.

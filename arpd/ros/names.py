@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from arpd.model.names import LONGEST_NAME
+
 PUBLISHERS_TOPIC = "/arpd/publishers"
 PLAN_TOPIC = "/arpd/plan"
 PRICE_TOPIC = "/arpd/price"
@@ -17,9 +19,8 @@ LEAST_DEADLINE_NS = 10_000
 MOST_LEASE_S = 1e9
 
 _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
-_MOST_NAME = 256  # characters; ROS itself ends at 255
 
 
 def is_full_name(name: str) -> bool:
-    """Return whether ROS allows this as the fully qualified name of a node or a topic."""
-    return len(name) <= _MOST_NAME and _FULL_NAME.fullmatch(name) is not None
+    """Return whether ROS allows this as the full name of a topic; arpd takes no longer one of a node, either."""
+    return len(name) <= LONGEST_NAME and _FULL_NAME.fullmatch(name) is not None

@@ -49,6 +49,8 @@ SCENARIOS = {
 USUAL = ("demo", "robots", "relay", "http", "estimate", "solve")
 #: Scenarios of which each part is kept: what makes a summary of rounds, and how many cells of a round name it.
 PARTS = {"robots": (summary_of, len(CELL))}
+#: Scenarios whose parts have names.
+NAMED = ("robots", "estimate", "fuzz")
 FULL_ROUNDS = 3
 
 
@@ -101,12 +103,8 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="the short forms, a minute or two each")
     parser.add_argument("--full", action="store_true", help="the long forms: more rounds, seeds and sizes")
     parser.add_argument("--again", action="store_true", help="also those that this tree was measured by")
-    parser.add_argument(
-        "--only",
-        default="",
-        metavar="TEXT",
-        help="robots (a regular expression), estimate, fuzz: parts whose names have it",
-    )
+    about = f"{', '.join(NAMED)}: parts whose names have it; of robots a regular expression"
+    parser.add_argument("--only", default="", metavar="TEXT", help=about)
     parser.add_argument("--tree", type=Path, help="arpd's own processes from another source tree; nothing is kept")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
     parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
@@ -117,6 +115,8 @@ def main() -> int:
     names = {("all",): [*SCENARIOS], ("usual",): [*USUAL]}.get(tuple(options.names), options.names)
     if unknown := sorted({*names} - {*SCENARIOS}):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
+    if options.only and (whole := sorted({*names} - {*NAMED})):
+        parser.error(f"--only: no parts in {', '.join(whole)}; there are some in {', '.join(NAMED)}")
     if not names and not options.docs:
         print(listed())
         return 0

@@ -96,7 +96,7 @@ class Calls:
     def close(self) -> None:
         """Fail the calls that are under way, and remove all servers and clients."""
         self.thread.stop()
-        self._follow({}, None)
+        self._book.close()
         until_s = time.monotonic() + _MOST_LAST_S
         while (due_s := _released(self._ghosts.values(), now_s := time.monotonic())) < until_s:
             time.sleep(max(0.0, due_s - now_s))
@@ -142,7 +142,7 @@ class Calls:
             if self.offers.get(name) != client.offer:
                 self._clients.pop(name).destroy()
         offered, self._session_there = self.offered
-        self._follow(offered, self._session_there, served={name for name, found in servers.items() if found})
+        self._follow(offered, self._session_there, {name for name, found in servers.items() if found})
 
     def _offer(self, servers: list[Endpoint]) -> ServiceOffer | None:
         """Return the first server whose node is known."""
@@ -153,9 +153,7 @@ class Calls:
         type_name = first.type_name.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")
         return ServiceOffer(type_name=type_name, node=self._side.node_name(first.node))
 
-    def _follow(
-        self, offered: Mapping[str, ServiceOffer], session: int | None, served: Collection[str] = frozenset()
-    ) -> None:
+    def _follow(self, offered: Mapping[str, ServiceOffer], session: int | None, served: Collection[str]) -> None:
         """Serve here what the other end offers, and nothing else; not what is served on this side."""
         self._book.follow(session)
         refused = {name: reason for name in offered if (reason := self._reason_against(name, served))}

@@ -94,11 +94,13 @@ def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, 
 
 
 def test_check_says_what_differs_from_the_defaults(run, config):
-    """After OK come the keys that the file changes, of a topic too; as JSON it is every key."""
-    path = config("{relay: {link_domain: 77, robot: 10.0.0.1}, topics: [{name: /scan, weight: 2}]}")
+    """After OK come the keys that the file changes, of a topic its own alone; as JSON it is every key."""
+    own = "relay: {link_domain: 77, robot: 10.0.0.1}, topics: [{name: /scan, weight: 2}, {name: /odom}]"
+    path = config(f"{{defaults: {{max_depth: 9}}, {own}}}")
     code, out, err = run("check", path)
     assert (code, out.split()[0], err) == (0, "OK", "")
     assert [line.strip() for line in out.splitlines()[1:]] == [
+        "defaults.max_depth: 5000 -> 9",
         "topics[/scan].weight: 1.0 -> 2.0",
         "relay.link_domain: none -> 77",
         "relay.robot: none -> 10.0.0.1",
@@ -183,6 +185,21 @@ def test_a_terminal_that_lacks_a_character_gets_another(run, monkeypatch, line, 
     for stream in streams:
         stream.flush()
     assert said.encode() in b"".join(stream.buffer.getvalue() for stream in streams)
+
+
+@pytest.mark.parametrize(
+    ("line", "exits", "said"),
+    [
+        ("solve --rmax 100 --sensing 11 --actuation 1 >/dev/full", 1, b"arpd: /dev/full: No space left on device\n"),
+        ("simulate --rate 0:8mbit --duration 20s >&-", 0, b""),
+        ("simulate --rate 0:8mbit --duration 20s >&- 2>&-", 0, b""),
+    ],
+)
+def test_an_output_that_takes_nothing_ends_with_no_traceback(line, exits, said):
+    """A full disk is a failure, in one sentence; a closed stream is none."""
+    command = f"{sys.executable} -m arpd.cli {line}"
+    ran = subprocess.run(command, shell=True, check=False, stderr=subprocess.PIPE)
+    assert (ran.returncode, ran.stderr) == (exits, said)
 
 
 TABLE_2 = {100: (7, 365), 200: (15, 390), 500: (40, 405), 1000: (82, 410)}

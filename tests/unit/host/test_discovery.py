@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -28,6 +27,24 @@ def announcement(properties, *, guid=GUID, kinds=()):
     body = bytes(20) + b"\0\x03\0\0" + parameters
     stamp = struct.pack("<BBH", 0x09, 1, 8) + bytes(8)
     return b"RTPS\x02\x02\x01\x0f" + guid + stamp + struct.pack("<BBH", 0x15, 5, len(body)) + body
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run a process; returns what the kernel tells of all."""
+
+    def run(number, *command, inside=""):
+        process = tmp_path / f"{number}"
+        process.mkdir()
+        (process / "status").write_text(f"Name:\tx\nNSpid:\t{number}{inside}\nNSpgid:\t9\n")
+        (process / "cmdline").write_text("".join(f"{word}\0" for word in command))
+        return tmp_path
+
+    return run
+
+
+def heard_with(proc, *packets):
+    return heard(packets, own={"10.0.0.1"}, domain_id=7, duration_s=2.0, proc=proc)
 
 
 TOLD = {
@@ -66,17 +83,14 @@ def test_transports_are_those_of_the_locators_for_discovery(kinds):
         ((), "process 4711", False),
     ],
 )
-def test_a_process_is_named_by_its_command(monkeypatch, command, name, is_arpds):
+def test_a_process_is_named_by_its_command(run, command, name, is_arpds):
     """Scripts and modules by their own names."""
-    monkeypatch.setattr("psutil.Process", lambda _pid: SimpleNamespace(cmdline=lambda: list(command)))
-    (found,) = heard([(announcement(TOLD), "10.0.0.1")], own={"10.0.0.1"}, domain_id=7, duration_s=2.0).announcers
+    (found,) = heard_with(run(4711, *command), (announcement(TOLD), "10.0.0.1")).announcers
     assert (found.process, found.is_arpds) == (name, is_arpds)
 
 
-def test_participants_are_counted_once_and_named(monkeypatch):
+def test_participants_are_counted_once_and_named(run):
     """Own ones by their commands, others by what they tell of their hosts, or by their addresses."""
-    commands = {4711: SimpleNamespace(cmdline=lambda: ["/bin/talker", "--ros-args"])}
-    monkeypatch.setattr("psutil.Process", commands.__getitem__)
     packets = [
         (announcement(TOLD), "10.0.0.1"),
         (announcement(TOLD), "10.0.0.1"),
@@ -84,10 +98,20 @@ def test_participants_are_counted_once_and_named(monkeypatch):
         (announcement({}, guid=b"\x03" * 12), "10.0.0.3"),
         (b"no RTPS at all", "10.0.0.4"),
     ]
-    found = heard(packets, own={"10.0.0.1"}, domain_id=7, duration_s=2.0)
+    found = heard_with(run(4711, "/bin/talker", "--ros-args"), *packets)
     assert [(one.host, one.process, one.is_here) for one in found.announcers] == [
         ("vm", "talker", True),
         ("10.0.0.3", "process unknown", False),
         ("laptop", "process 4711", False),
     ]
     assert found.bytes_per_second == sum(len(packet) + 42 for packet, _ in packets) / 2.0
+
+
+def test_a_process_of_a_container_is_found_by_the_number_it_has_there(run):
+    """A process of this computer with that number is another one; where both have it, nobody knows which announces."""
+    run(4711)  # of the kernel
+    proc = run(9, "/bin/talker", inside="\t4711")
+    assert [one.process for one in heard_with(proc, (announcement(TOLD), "10.0.0.1")).announcers] == ["talker"]
+    proc = run(10, "/usr/bin/arpd", inside="\t4711")
+    (found,) = heard_with(proc, (announcement(TOLD), "10.0.0.1")).announcers
+    assert (found.process, found.is_arpds, found.memory) == ("process 4711", False, None)

@@ -78,6 +78,7 @@ def test_bytes_that_are_no_state_are_refused(data):
         (("topics", "/a", "planned_depth"), 5001),
         (("topics", "/a", "writers"), 7),
         (("topics", "/a", "link_name"), "/no name"),
+        (("topics", "/a", "link_name"), "/" + 247 * "a"),  # ROS takes no more than 247 characters
         (("services",), {"/s": {"type_name": "t"}}),
     ],
 )

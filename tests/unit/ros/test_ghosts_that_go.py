@@ -37,7 +37,7 @@ def end(monkeypatch):
         timeout_s=10.0,
     )
     calls._session_there = SESSION
-    calls._follow(OFFERED, SESSION)
+    calls._follow(OFFERED, SESSION, ())
     calls.did = did
     calls.ask = lambda header: calls._call("/set", AddDiagnostics.Request(), header)
     return calls
@@ -45,10 +45,10 @@ def end(monkeypatch):
 
 def test_a_call_of_a_server_that_goes_fails_at_once(end):
     """It does not cross: its failure would leave right before its server goes, and its caller would wait for ever."""
-    end._follow({}, SESSION)
+    end._follow({}, SESSION, ())
     end.ask("late")
     end._ghosts["/set"].release(time.monotonic())
-    end._follow({}, SESSION)
+    end._follow({}, SESSION, ())
     assert [each if isinstance(each, str) else each[0] for each in end.did] == ["late", "gone"]
 
 
