@@ -18,6 +18,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from scripts.bench.harness import conditions, watched
 from scripts.bench.report import RESULTS, Summary, targets, write_pages
@@ -42,6 +43,7 @@ SCENARIOS = {
     "rest": ("cost.play_rest", 3, 1, "what does a link carry at rest?"),
     "http": ("cost.play_http", 1.5, 1, "do scrapes and idle clients delay ticks?"),
     "estimate": ("estimate.play", 4, 1, "how good is the estimate beside the bound, in virtual time?"),
+    "traces": ("traces.play", 3, 0.5, "how much of a recorded link is used, and how long do packets wait for it?"),
     "solve": ("solve.play", 0.5, 0.5, "how fast is a plan?"),
     "fuzz": ("fuzz.play", 3, 0.5, "does foreign input crash a reader?"),
 }
@@ -63,7 +65,7 @@ def is_known(name: str) -> bool:
     )
 
 
-def is_valid(name: str, *, is_quick: bool, is_full: bool, only: str, is_part: bool, out: Path | None) -> bool:
+def is_valid(name: str, *, is_quick: bool, asked: dict[str, Any], is_part: bool, out: Path | None) -> bool:
     """Run a benchmark, print its summary and keep it; return whether it is, unless it is a short form, valid."""
     plays, *minutes, _ = SCENARIOS[name]
     module, _, function = plays.partition(".")
@@ -71,13 +73,12 @@ def is_valid(name: str, *, is_quick: bool, is_full: bool, only: str, is_part: bo
     began_s = time.monotonic()
     with watched() as noted:
         play = getattr(importlib.import_module(f"scripts.bench.{module}"), function)
-        more = ({"only": only} if only else {}) | ({"rounds": FULL_ROUNDS} if is_full else {})
-        summary: Summary = play(is_quick=is_quick, **more)
-    summary.conditions.append(noted | ({"of": only} if only else {}))
+        summary: Summary = play(is_quick=is_quick, **{key: value for key, value in asked.items() if value})
+    summary.conditions.append(noted | ({"of": asked["only"]} if asked["only"] else {}))
     print(targets({name: summary}), summary.markdown(), f"{time.monotonic() - began_s:.0f} s", sep="\n\n", flush=True)
     path = (out or RESULTS) / f"{name}.json"
     if out or not (is_part or noted.get("void")):
-        if only and name in PARTS and path.exists():
+        if asked["only"] and name in PARTS and path.exists():
             made, names = PARTS[name]
             summary = Summary.read(path).with_part(summary, made, names=names)
         summary.write(path)
@@ -105,28 +106,31 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="also those that this tree was measured by")
     about = f"{', '.join(NAMED)}: parts whose names have it; of robots a regular expression"
     parser.add_argument("--only", default="", metavar="TEXT", help=about)
+    parser.add_argument("--folder", type=Path, help="traces: your own recordings; nothing is kept but in --out")
     parser.add_argument("--tree", type=Path, help="arpd's own processes from another source tree; nothing is kept")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep the summaries there")
     parser.add_argument("--docs", action="store_true", help="write docs/results.md and README.md from the summaries")
     options = parser.parse_args()
-    is_part = bool(options.quick or options.tree or (options.only and not PARTS.keys() >= {*options.names}))
+    is_part = bool(
+        options.quick or options.tree or options.folder or (options.only and not PARTS.keys() >= {*options.names})
+    )
     if options.tree:
         os.environ[TREE] = str(options.tree.resolve())
     names = {("all",): [*SCENARIOS], ("usual",): [*USUAL]}.get(tuple(options.names), options.names)
     if unknown := sorted({*names} - {*SCENARIOS}):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
-    if options.only and (whole := sorted({*names} - {*NAMED})):
-        parser.error(f"--only: no parts in {', '.join(whole)}; there are some in {', '.join(NAMED)}")
+    able = ("traces",) if options.folder and not options.only else NAMED
+    if (options.only or options.folder) and (others := sorted({*names} - {*able})):
+        parser.error(f"--only, --folder: no such parts in {', '.join(others)}; there are some in {', '.join(able)}")
     if not names and not options.docs:
         print(listed())
         return 0
+    asked = {"only": options.only, "folder": options.folder, "rounds": options.full and FULL_ROUNDS}
     wrong = []
     for name in names:
         if not (is_part or options.again or options.only) and is_known(name):
             print(f"{name}: this tree has been measured")
-        elif not is_valid(
-            name, is_quick=options.quick, is_full=options.full, only=options.only, is_part=is_part, out=options.out
-        ):
+        elif not is_valid(name, is_quick=options.quick, asked=asked, is_part=is_part, out=options.out):
             wrong.append(name)
     if options.docs or (names and not (is_part or options.out)):
         write_pages()

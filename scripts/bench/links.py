@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import random
 from bisect import bisect_right
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arpd.sim.schedule import RateSchedule, RateStep
 from arpd.sim.trace import read_trace
 from scripts.netns.simlink import STALLED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 MBIT = 125_000.0  # bytes/s
 WALK = Path(__file__).with_name("wifi_walk.csv")  # from path loss, shadowing and fades, with the MCS of 802.11n
-DURATION_S, CALM_S, STALL_S = 28.0, 5.0, 50.0
+DURATION_S, CALM_S, STALL_S, CELLULAR_S = 28.0, 5.0, 50.0, 120.0
 _OUT = 10.0  # bytes/s: loss alone is no outage, because a lost packet has crossed the link
 GOOD_S, _BAD_S = 3.0, 0.3  # mean times of the burst-loss link (Gilbert 1960, Elliott 1963)
 SEED = 6  # its bursts take 9 % of the time, as those of the chain do in the long run
@@ -60,6 +62,31 @@ def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
         "loss-2": ("20 Mbit/s, 2 % of the packets are lost", [(0.0, fast, 0.02)]),
         "loss-5": ("20 Mbit/s, 5 % of the packets are lost", [(0.0, fast, 0.05)]),
     }
+
+
+def marks(course: Iterable[tuple[float, float]]) -> RateSchedule:
+    """Return a schedule with another rate (Mbit/s) from each time on (s)."""
+    return RateSchedule(steps=tuple(RateStep(at_s, mbit * MBIT) for at_s, mbit in course))
+
+
+def cellular(seed: int) -> RateSchedule:
+    """Return a link as Sprout models it (Winstein, Sivaraman, Balakrishnan, NSDI 2013, §3), over two minutes.
+
+    Packets leave by a Poisson process whose rate is a Brownian motion, reflected at 0 and at 12 Mbit/s; near 0 begins
+    an outage, which ends at a rate of its own. Deviation and rate of escape are the paper's.
+    """
+    rng, step_s, most = random.Random(f"cellular up {seed}"), 0.02, 1000.0
+    rate, found = rng.uniform(0.0, most), list[tuple[float, float]]()
+    for k in range(round(CELLULAR_S / step_s) + 1):
+        if rate > 0.0 or rng.random() < -math.expm1(-step_s):
+            rate = abs(rate + rng.gauss(0.0, 200.0 * math.sqrt(step_s)))
+            rate = min(rate, 2.0 * most - rate)
+            rate = rate if rate >= most / 256 else 0.0
+        packets, waited = 0, rng.expovariate(1.0)
+        while waited < rate * step_s:
+            packets, waited = packets + 1, waited + rng.expovariate(1.0)
+        found.append((round(k * step_s, 9), packets * 1500 * 8e-6 / step_s))
+    return marks([*found, (CELLULAR_S + 1.0, 12.0)])  # what waits at the end must leave
 
 
 def bursts(rng: random.Random, begin_s: float) -> Iterator[tuple[float, float]]:

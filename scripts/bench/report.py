@@ -87,7 +87,7 @@ class Summary:
     about : how it was measured, in sentences
     conditions : when, at which commit, on what and under which load; one for each part that was measured apart
     rounds : what each round found, of which another module makes the rest; no page shows it
-    drawn : a curve over time for each column but the first; a picture shows it, and no page
+    drawn : what the picture beside the summary shows, and no page; see `draw`
     """
 
     about: str
@@ -100,6 +100,7 @@ class Summary:
     def write(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(asdict(self), indent=0, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+        draw(path.with_suffix(".png"), self.drawn)
 
     @classmethod
     def read(cls, path: Path) -> Summary:
@@ -286,11 +287,10 @@ def write_pages() -> None:
     """Fill every block of docs/results.md and README.md whose summary is there."""
     known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
     blocks = {name: summary.markdown() for name, summary in known.items()} | {"targets": targets(known)}
-    if robots := known.get("robots"):
-        if robots.rounds:
-            blocks["rivals"] = _rivals(robots.rounds)
-        if robots.drawn:
-            curves(RESULTS / "robots.png", robots.drawn)
+    if (robots := known.get("robots")) and robots.rounds:
+        blocks["rivals"] = _rivals(robots.rounds)
+    for name, each in known.items():
+        draw(RESULTS / f"{name}.png", each.drawn)
     for path in (REPO / "docs/results.md", REPO / "README.md"):
 
         def written(match: re.Match[str]) -> str:
@@ -302,19 +302,22 @@ def write_pages() -> None:
         path.write_text(_BLOCK.sub(written, path.read_text("utf-8")), "utf-8")
 
 
-def curves(path: Path, table: Table) -> None:
-    """Draw the columns of a table over the first one."""
+def draw(path: Path, table: Table | None) -> None:
+    """Draw the columns of a table over the first one, as dots where cells are empty, else as curves."""
+    if not table or not table.rows:
+        return
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
-    times, *columns = zip(*table.rows, strict=True)
+    is_dots = None in table.rows[0]
+    firsts, *columns = zip(*table.rows, strict=True)
     for name, values in zip(table.columns[1:], columns, strict=True):
-        axes.plot(times, values, label=_RIVALS.get(name, name))
-    axes.set(yscale="log", xlabel="s", ylabel=table.title)
+        axes.plot(firsts, values, "o" if is_dots else "-", label=_RIVALS.get(name, name))
+    axes.set(**{"xscale" if is_dots else "yscale": "log"}, xlabel=table.columns[0], ylabel=table.title)
     axes.grid(visible=True, color="0.9")
-    axes.legend(loc="center right", frameon=False)
+    axes.legend(loc="best", frameon=False)
     figure.savefig(path, dpi=90)
     plt.close(figure)
