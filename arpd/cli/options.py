@@ -61,7 +61,7 @@ def add_address(parser: argparse.ArgumentParser) -> None:
 
 
 class Address(NamedTuple):
-    """Address of a daemon: as given, the computer, and the base URL without a user and a password in it."""
+    """Address of a daemon: as given, the computer, and the base URL."""
 
     url: str
     host: str
@@ -79,8 +79,10 @@ def read_address(url: str) -> Address:
     """Return the address that a URL names, for argparse."""
     try:
         parts = urlsplit(url)
+        if parts.username is not None:  # not shown: a password may follow
+            raise argparse.ArgumentTypeError("a user does not stand in the address; give --user NAME")
         if parts.scheme in {"http", "https"} and parts.hostname and parts.port != 0:
-            base = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path.rstrip('/')}"
+            base = f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}"
             return Address(url, parts.hostname, base)
         why = "it needs http:// or https://, and a host"
     except ValueError as error:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     Document = Mapping[str, Any]
 
 _FASTEST = "100gbit"  # as in the configuration
-_MOST_TOPICS = 1_000_000
+_LEAST_HZ, _MOST = 0.001, 1_000_000  # of rates (Hz), topics and samples
 _TEXT = """\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
 share. Exits 1 when the constraints cannot be met.
@@ -71,13 +71,14 @@ _BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config w
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     paper = parser.add_argument_group("the paper's program")
-    topics = within(0, _MOST_TOPICS, parse=int)
-    paper.add_argument("--rmax", type=float, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
+    topics, rate = within(0, _MOST, parse=int), within(_LEAST_HZ, _MOST, parse=float)
+    depth = within(1, _MOST, parse=int)
+    paper.add_argument("--rmax", type=rate, metavar="HZ", help="Rmax, the highest rate with one topic only (Hz)")
     paper.add_argument("--sensing", type=topics, metavar="N", help="topics from the robot, SPt")
     paper.add_argument("--actuation", type=topics, metavar="N", help="topics to the robot, PAAt")
-    paper.add_argument("--rmin", type=float, metavar="HZ", help="Rmin (Hz, default 1)")
-    paper.add_argument("--dmin", type=int, metavar="N", help="Dmin (samples, default 1)")
-    paper.add_argument("--dmax", type=int, metavar="N", help="Dmax (samples, default 5000)")
+    paper.add_argument("--rmin", type=rate, metavar="HZ", help="Rmin (Hz, default 1)")
+    paper.add_argument("--dmin", type=depth, metavar="N", help="Dmin (samples, default 1)")
+    paper.add_argument("--dmax", type=depth, metavar="N", help="Dmax (samples, default 5000)")
     own = parser.add_argument_group("your topics, offline")
     own.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
     own.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")

@@ -15,13 +15,13 @@ from arpd.host.interface import index_of, ipv4_addresses
 from arpd.host.kernel import PROC
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import printable
-from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, UDP_BYTES
+from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, MOST_DOMAIN, UDP_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
-_PORT, _PORTS_OF_DOMAIN, _MOST_DOMAIN = 7400, 250, 232
+_PORT, _PORTS_OF_DOMAIN = 7400, 250
 _GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS message
 _FIRST_SUBMESSAGE = 20
 _DATA, _LITTLE_ENDIAN = 0x15, 0x01
@@ -226,7 +226,7 @@ def listen(interface: str, domain_id: int, *, duration_s: float) -> HeardDiscove
     index = index_of(interface)
     if index is None:
         raise NotKnownError(f"there is no interface {interface}")
-    if not 0 <= domain_id <= _MOST_DOMAIN:
+    if not 0 <= domain_id <= MOST_DOMAIN:
         raise NotKnownError(f"ROS has no domain {domain_id}")
     own = frozenset[str]().union(*ipv4_addresses().values())
     try:

@@ -16,6 +16,7 @@ from pydantic import Field
 from arpd.model.endpoints import Overflow
 from arpd.model.kinds import NONE, Address, NamePattern, Namespace, OrWord, Prefix, TopicName, duration, rate, size
 from arpd.model.names import compile_patterns
+from arpd.model.wire import MOST_DOMAIN
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
@@ -260,7 +261,7 @@ class RelaySettings(Section):
     topics : topics to carry under the prefix; with two ends, topics with an overflow or a depth of their own
     """
 
-    link_domain: Annotated[int | None, Field(ge=0, le=232), OrWord(NONE)] = None
+    link_domain: Annotated[int | None, Field(ge=0, le=MOST_DOMAIN), OrWord(NONE)] = None
     robot: Annotated[Address | None, OrWord(NONE)] = None
     base: Annotated[Address | None, OrWord(NONE)] = None
     namespace: Namespace = ""

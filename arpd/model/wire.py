@@ -8,6 +8,7 @@ MTU_BYTES = 1500
 ETHERNET_BYTES = 14
 IPV4_BYTES = 20
 UDP_BYTES = 8
+MOST_DOMAIN = 232  # of ROS; the ports of a higher one do not exist (RTPS 2.3 §9.6.1)
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
 # RTPS 2.3 §9.4: header 20 and INFO_DST 16. Fast DDS 2.14 ends every datagram with a submessage of 60 bytes for its
 # statistics module. All sizes here are those of captured frames.

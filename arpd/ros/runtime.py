@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.errors import GET_ROS, RosUnavailableError
+from arpd.model.wire import MOST_DOMAIN
 
 if TYPE_CHECKING:
     import threading
@@ -76,6 +77,7 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
         with _discovery(link):
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+            _require_ports(context)
             node = rclpy.create_node(
                 name,
                 context=context,
@@ -93,6 +95,12 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     finally:
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+def _require_ports(context: Any) -> None:
+    """Raise RuntimeError where the domain has no ports; Fast DDS would end the process."""
+    if (own := context.get_domain_id()) > MOST_DOMAIN:
+        raise RuntimeError(f"there is no domain above {MOST_DOMAIN}, and ROS_DOMAIN_ID is {own}")
 
 
 @contextmanager

@@ -113,13 +113,23 @@ def watch(
             observation = super().observe(now_s)
             return observation if see is None else see(now_s, observation)
 
-        def _reach(self, node, wire_bytes, deliver):
-            if self._timeline.now_s < mute_s:
-                super()._reach(node, wire_bytes, deliver)
+        set_price = _until(mute_s, SimulatedWorld.set_price)
+        apply = _until(mute_s, SimulatedWorld.apply)
+        probe = _until(mute_s, SimulatedWorld.probe)
 
     with mock.patch.object(scenario, "Daemon", Beside), mock.patch.object(scenario, "SimulatedWorld", Seen):
         result = scenario.Scenario(settings, schedule, duration_s, seed=seed, **options).play()
     return Watched(result=result, daemon=daemons[0], ticks=tuple(ticks))
+
+
+def _until(end_s: float, act: Callable[..., None]) -> Callable[..., None]:
+    """Return what acts until a run time (s), and does nothing later."""
+
+    def acts(world: SimulatedWorld, *values: object, **named: object) -> None:
+        if world._timeline.now_s < end_s:
+            act(world, *values, **named)
+
+    return acts
 
 
 def _of(tick: Tick, topic: str) -> PublisherState | None:

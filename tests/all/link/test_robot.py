@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.sim.demo import COMMAND_TOPIC
 from scripts.bench.nodes import ROBOT_SINK
+from scripts.bench.robots import demo_robot
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import Robot
 from tests.all.link.hosts import NEEDS_LINK, REPO
@@ -39,6 +41,15 @@ while True:
 @pytest.fixture
 def live(tmp_path):
     with live_robot(tmp_path) as live:
+        yield live
+
+
+@pytest.fixture
+def prompt(tmp_path):
+    """Plan for a better link after half a minute; by default that takes 57 s, and no test waits longer than 60."""
+    robot = demo_robot()
+    settings = {**(robot.settings or {}), "governor": {"dwell": "2s"}}
+    with live_robot(tmp_path, replace(robot, settings=settings)) as live:
         yield live
 
 
@@ -93,9 +104,9 @@ def is_slow(rate):
     return 0.6 * SLOW < rate < 1.6 * SLOW
 
 
-def test_cross_traffic_gets_room_and_gives_it_back(live):
+def test_cross_traffic_gets_room_and_gives_it_back(prompt):
     """Budget and plan yield to an upload beside ROS, and both return when the upload ends."""
-    world, url = live
+    world, url = prompt
 
     def cross_traffic():
         return metric(url, "arpd_link_cross_traffic_bytes_per_second")

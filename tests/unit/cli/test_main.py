@@ -42,9 +42,12 @@ TOPICS = "--sensing 11 --actuation 0"
         ("status --url localhost:9464", "--url"),
         ("status --url file:///etc/passwd", "--url"),
         ("status --url http://[::1", "--url"),
+        ("status --url http://me:secret@localhost:9464", "--user NAME"),
         ("solve", "--rmax"),
         ("run --log-level loud", "--log-level"),
-        (f"solve --rmax nan {TOPICS}", "arpd"),
+        (f"solve --rmax nan {TOPICS}", "--rmax"),
+        (f"solve --rmax 1e-320 {TOPICS} --rmin 1e-322", "--rmax"),
+        (f"solve --rmax 100 {TOPICS} --dmax 99999999999999999999", "--dmax"),
         ("solve --rmax 100 --sensing 0 --actuation 0", "arpd"),
         (f"solve --rmax 100 {TOPICS} --dmin 9 --dmax 3", "arpd"),
         ("solve --rmax 100 --config x", "--rmax"),
@@ -162,6 +165,15 @@ def test_a_relay_with_nothing_to_carry_says_so(config, options):
         finally:
             relay.terminate()
     assert relay.returncode == 0
+
+
+def test_a_domain_without_ports_is_refused_in_words(monkeypatch):
+    """The middleware would end the process."""
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    ran = subprocess.run([sys.executable, "-m", "arpd.cli", "topics"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 69
+    assert ran.stderr.startswith("arpd: ROS 2 does not start (there is no domain above 232, and ROS_DOMAIN_ID is 233)")
 
 
 @pytest.mark.parametrize("command", [*main.COMMANDS, ""])
