@@ -48,7 +48,7 @@ SCENARIOS = {
     "fuzz": ("fuzz.play", 3, 0.5, "does foreign input crash a reader?"),
 }
 #: What `usual` plays, in an hour.
-USUAL = ("demo", "robots", "relay", "http", "estimate", "solve")
+USUAL = ("demo", "robots", "relay", "http", "traces", "estimate", "solve")
 #: Scenarios of which each part is kept: what makes a summary of rounds, and how many cells of a round name it.
 PARTS = {"robots": (summary_of, len(CELL))}
 #: Scenarios whose parts have names.

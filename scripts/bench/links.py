@@ -9,7 +9,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arpd.sim.schedule import RateSchedule, RateStep
+from arpd.sim.schedule import RateSchedule, RateStep, Service
 from arpd.sim.trace import read_trace
 from scripts.netns.simlink import STALLED
 
@@ -52,6 +52,7 @@ def links(seed: int = SEED) -> dict[str, tuple[str, Course]]:
             "1.5 to 20 Mbit/s, as a walk away from the access point and back gives it",
             [(start_s, trace.rates.rate_at(start_s), at(losses, start_s)[1]) for start_s in starts_s],
         ),
+        "cellular": ("0 to 12 Mbit/s, as Sprout models a cellular link", _every(cellular(seed), 0.1)),
         "steady-20": ("20 Mbit/s", [(0.0, fast, 0.0)]),
         "steady-5": ("5 Mbit/s", [(0.0, slow, 0.0)]),
         "fall-and-rise": ("20 → 5 → 20 Mbit/s", [(0.0, fast, 0.0), (CALM_S, slow, 0.0), (CALM_S + 9.0, fast, 0.0)]),
@@ -87,6 +88,13 @@ def cellular(seed: int) -> RateSchedule:
             packets, waited = packets + 1, waited + rng.expovariate(1.0)
         found.append((round(k * step_s, 9), packets * 1500 * 8e-6 / step_s))
     return marks([*found, (CELLULAR_S + 1.0, 12.0)])  # what waits at the end must leave
+
+
+def _every(schedule: RateSchedule, step_s: float) -> Course:
+    """Return the mean rates of spans of this length; where nothing passes, everything waits."""
+    service, starts_s = Service(schedule), [step_s * k for k in range(round(DURATION_S / step_s))]
+    spans = ((start_s, (service.by(start_s + step_s) - service.by(start_s)) / step_s) for start_s in starts_s)
+    return [(start_s, max(STALLED, rate), 0.0) for start_s, rate in spans]
 
 
 def bursts(rng: random.Random, begin_s: float) -> Iterator[tuple[float, float]]:

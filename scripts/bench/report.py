@@ -258,7 +258,13 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-_RIVALS = {"plain": "rclpy's defaults", "large_data": "Fast DDS' LARGE_DATA", "two_ends": "arpd"}
+_RIVALS = {
+    "plain": "rclpy's defaults",
+    "large_data": "Fast DDS' LARGE_DATA",
+    "large_data_bbr": "the same with TCP BBR",
+    "zenoh_first": "Zenoh, tuned",
+    "two_ends": "arpd",
+}
 
 
 def _rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> str:

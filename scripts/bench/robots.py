@@ -143,26 +143,27 @@ ROBOTS = {
 WAYS = {
     "plain": "rclpy's defaults",
     "large_data": "the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
-    "profile": "the same with best practice: no IP fragments, a heartbeat every 50 ms (arpd's Fast DDS profile)",
-    "throttle": "the same, each topic throttled to what `arpd solve` gives for the slowest tenth of the link's time",
+    "large_data_bbr": "the same with TCP's congestion control BBR; everybody else has cubic, as Debian and Ubuntu",
+    "profile": "rclpy's defaults, no IP fragments, and a heartbeat every 50 ms (arpd's Fast DDS profile)",
+    "throttle": "rclpy's defaults, topics throttled to what `arpd solve` gives for the link's slowest tenth",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
     "adaptive_tcp": "the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
     "zenoh": "two ends over Zenoh, without services: a priority per class; large samples wait for their turn",
     "zenoh_drop": "the same, but large samples are dropped where the queue is full (congestion control drop)",
     "zenoh_first": "the same, but large samples are dropped while one waits (congestion control block_first)",
+    "zenoh_bbr": "the same with TCP's congestion control BBR",
     "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
     "bound": "the same, told the mean of the link's next 0.2 s at every tick",
 }
-_RIVALS = ("plain", "large_data", "profile", "throttle")
+_RIVALS = frozenset(WAYS) - {"adaptive", "adaptive_tcp", "two_ends", "bound"}
 #: What a run without --only or --full plays, with these sides: robot, link, bottleneck.
 _USUAL: tuple[tuple[str, str, Bottleneck], ...] = (
     ("tb4", "fall-and-rise", "sender"),
     ("tb4", "fall-and-rise", "middle"),
     ("outdoor", "fall-and-rise", "sender"),
     ("demo", "wifi-walk", "middle"),
-    ("nav2", "steady-5", "middle"),
 )
-_USUAL_SIDES = ("plain", "large_data", "two_ends")
+_USUAL_SIDES = ("plain", "large_data", "large_data_bbr", "zenoh_first", "two_ends")
 ROUNDS = 3
 #: What arpd should reach of the worst round of a rival: its share, what is added to that, and whether it is the least.
 _AIMS: dict[str, tuple[float, float, bool]] = {

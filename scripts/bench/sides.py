@@ -83,6 +83,7 @@ class Side:
     has_profile : the nodes have arpd's Fast DDS profile
     transports : environment of every process; that of two ends keeps nodes on their hosts, as on a real robot
     is_told : the daemon is told the link's course (the bound)
+    congestion : TCP's congestion control on the link
     warm_up_s : time in which the nodes publish and nothing counts (s)
     """
 
@@ -93,6 +94,7 @@ class Side:
     has_profile: bool = False
     transports: Mapping[str, str] = field(default_factory=dict, hash=False)
     is_told: bool = False
+    congestion: str = "cubic"
     warm_up_s: float = 4.0
 
 
@@ -106,6 +108,7 @@ SIDES = {
     for side in (
         Side(name="plain"),
         Side(name="large_data", transports=_TCP),
+        Side(name="large_data_bbr", transports=_TCP, congestion="bbr"),
         Side(name="profile", has_profile=True),
         Side(name="adaptive", **_ADAPTIVE),
         Side(name="adaptive_tcp", transports=_TCP, **_ADAPTIVE),
@@ -113,6 +116,7 @@ SIDES = {
         Side(name="bound", is_told=True, **_TWO_ENDS),
         Side(name="one_end", way=Way(prefix=PREFIX), ends="one"),
         *(Side(name=name, ends="zenoh", transports=_CONFINED) for name in ("zenoh", "zenoh_drop", "zenoh_first")),
+        Side(name="zenoh_bbr", ends="zenoh", transports=_CONFINED, congestion="bbr"),
         Side(name="bare", way=Way(prefix=BARE), ends="bare"),
     )
 }

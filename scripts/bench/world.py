@@ -328,7 +328,8 @@ def world_of(
             f"bench-{os.getpid()}-{threading.get_native_id()}",
             bottleneck=bottleneck,
             memory=Path(memory),
-            is_memory_private=side.name == "large_data",
+            is_memory_private=side.name.startswith("large_data"),
+            congestion=side.congestion,
             rate_bytes_per_second=rate,
             queue_bytes=queue_bytes,
         )

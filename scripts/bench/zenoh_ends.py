@@ -34,12 +34,13 @@ _PORTS = {7447: "prio=1-5", 7448: "prio=6-7"}  # and what crosses there
 _LISTENS = "robot"  # the other end connects to it
 _MATCH_S, _REST_S = 0.05, 60.0
 _SETTLES_S = 1.0  # 1.9.0 loses some of what is put as soon as somebody has subscribed
-#: What large samples do on a full queue, by side. The last drops what comes while one waits, which Zenoh's authors
+#: What large samples do on a full queue, by side. The last two drop what comes while one waits, which Zenoh's authors
 #: recommend for images on a slow Wi-Fi.
 _LARGE = {
     "zenoh": zenoh.CongestionControl.BLOCK,
     "zenoh_drop": zenoh.CongestionControl.DROP,
     "zenoh_first": zenoh.CongestionControl.BLOCK_FIRST,
+    "zenoh_bbr": zenoh.CongestionControl.BLOCK_FIRST,
 }
 _PRIORITY = {"commands": zenoh.Priority.REAL_TIME, "large": zenoh.Priority.DATA_LOW}  # others: interactive
 

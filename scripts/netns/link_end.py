@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from dataclasses import dataclass
+from ipaddress import ip_interface
 from pathlib import Path
 
 from pyroute2 import IPRoute
@@ -14,6 +15,7 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from scripts.netns.namespaces import HostName, executable
 
 _ROOT_HANDLE = 0x10000  # "1:"
+_PREFIX = 30  # bits of the network of two hosts
 _LOSS_STEPS = 1_000_000
 _OFFLOADS = ("tcp-segmentation-offload", "generic-segmentation-offload", "generic-receive-offload")
 
@@ -56,15 +58,18 @@ class Bucket:
     queue_bytes: int
 
 
-def raise_up(host: Host, bucket: Bucket) -> None:
-    """Shape the end, give it its address and switch it on."""
+def raise_up(host: Host, bucket: Bucket, congestion: str) -> None:
+    """Shape the end, give it its address and switch it on; TCP has this congestion control on it."""
     disable_offloads(host.interface)
     with IPRoute() as route:
         index = route.link_lookup(ifname=host.interface)[0]
         shape(route, "add", index, bucket)
         route.link("set", index=route.link_lookup(ifname="lo")[0], state="up")
-        route.addr("add", index=index, address=host.address, prefixlen=30)
+        route.addr("add", index=index, address=host.address, prefixlen=_PREFIX)
         route.link("set", index=index, state="up")
+        network = str(ip_interface(f"{host.address}/{_PREFIX}").network)
+        about = {"scope": "link", "proto": "kernel", "prefsrc": host.address}
+        route.route("replace", dst=network, oif=index, metrics={"cc_algo": congestion}, **about)
         # A fixed neighbour keeps ARP off the link, because random loss would hit it, too.
         route.neigh("add", dst=host.peer_address, lladdr=host.peer_mac, ifindex=index, state="permanent")
         route.route("add", dst="224.0.0.0/4", oif=index, scope="link")

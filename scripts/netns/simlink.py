@@ -77,6 +77,7 @@ class SimLink:
     domain_id : ROS_DOMAIN_ID of every process inside; None = derived from the run id
     memory : folder in memory, where each host has its own shared memory; None = that of this machine
     is_memory_private : each process has its own; two of them with TCP could else use one port of the other host
+    congestion : TCP's congestion control; Debian and Ubuntu have cubic, this machine may have another
 
     Attributes
     ----------
@@ -94,6 +95,7 @@ class SimLink:
         domain_id: int | None = None,
         memory: Path | None = None,
         is_memory_private: bool = False,
+        congestion: str = "cubic",
     ) -> None:
         self.run_id = run_id
         self.robot, self.base = self.hosts = _hosts(run_id)
@@ -107,6 +109,7 @@ class SimLink:
         self._loss = _checked_loss(loss)
         self._has_loss_rule = False
         self._memory, self._is_memory_private = memory, is_memory_private
+        self._congestion = congestion
         self._processes: list[subprocess.Popen[Any]] = []
         self._undo = ExitStack()
 
@@ -205,7 +208,8 @@ class SimLink:
             for k, (end, peer) in enumerate(cables):
                 outside.link("add", kind="veth", index=_FIRST_INDEX + k, peer=peer, **end)
         for host in self.hosts:
-            inside(host.namespace, partial(link_end.raise_up, host, self._bucket() if self._middle is None else _CABLE))
+            bucket = self._bucket() if self._middle is None else _CABLE
+            inside(host.namespace, partial(link_end.raise_up, host, bucket, self._congestion))
         if self._middle is not None:
             inside(self._middle, partial(link_end.bridge, self._shaped(), self._bucket()))
         self.set_loss(self._loss)
