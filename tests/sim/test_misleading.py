@@ -1,32 +1,23 @@
 """What misled the estimate or the queue control of earlier versions, each in virtual time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from functools import cache
 
 from arpd.sim.link import ForeignFlow
 from tests.sim.test_price import QUEUE, ROBOT, at, play
 from tests.sim.watched import MBIT, goodput, queues
 
 FALLS_S, LASTS_S = 13.0, 28.0
-DOWNLOAD = ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
 
 
-@cache
-def falling(before, after, **options):
-    return play(at((0, before), (FALLS_S, after)), LASTS_S, **options)
-
-
-def estimates(played, start_s, end_s):
-    """Return what the estimator stated at every tick of a span (Mbit/s)."""
-    return [tick.snapshot.link.capacity_bytes_per_second / MBIT for tick in played.between(start_s, end_s)]
+def falling(**options):
+    return play(at((0, 20), (FALLS_S, 5)), LASTS_S, **options)
 
 
 def test_a_download_into_the_peer_is_no_capacity():
     """While the peer downloads 40 Mbit/s elsewhere, a link of 5 is not taken for more, and no plan goes up."""
-    played = falling(20, 5, into_peer=(DOWNLOAD,))
-    assert max(estimates(played, FALLS_S + 3.0, LASTS_S)) < 1.25 * 5.0
+    played = falling(into_peer=(ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT),))
+    stated = [tick.snapshot.link.capacity_bytes_per_second for tick in played.between(FALLS_S + 3.0, LASTS_S)]
+    assert max(stated) < 1.25 * 5.0 * MBIT
     assert "up" not in played.plans(FALLS_S, LASTS_S)
     waits = queues(played.result, FALLS_S + 3.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.15
@@ -46,7 +37,7 @@ def test_one_drop_without_a_peer_starves_nobody():
 
 def test_without_a_peer_the_interface_alone_shows_a_fall():
     """Without a peer, the queue of the interface shows a fall; it drains, and the link stays in use."""
-    played = falling(20, 5, has_peer=False)
+    played = falling(has_peer=False)
     waits = queues(played.result, FALLS_S + 5.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.2
     assert goodput(played.result, FALLS_S + 5.0, LASTS_S) > 0.5 * 5.0 * MBIT

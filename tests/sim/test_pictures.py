@@ -1,7 +1,5 @@
 """Samples larger than the queue of the link, in virtual time."""
 
-from __future__ import annotations
-
 import pytest
 
 from arpd.daemon.scenario import Scenario

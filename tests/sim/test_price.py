@@ -1,9 +1,6 @@
 """Rates under the price in virtual time: they follow the link at once, by weight, and need no plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from functools import cache
 from random import Random
 
 import pytest
@@ -50,26 +47,18 @@ FLOORS = replace(
 STARVED_S, FREED_S = 12.0, 32.0
 
 
-@cache
-def starved():
-    return play(at((0, 20), (STARVED_S, 1.5), (FREED_S, 20)), 45.0, settings=FLOORS)
-
-
-def test_floors_that_do_not_fit_give_way_by_weight():
-    """Where the link carries 1.5 of 2.8 Mbit/s of floors, the heavy topic keeps its floor, the light one does not."""
-    span = (STARVED_S + 4.0, FREED_S)
-    assert starved().sent_hz("/scan", *span) > 0.9 * 15.0
-    assert starved().sent_hz("/camera", *span) < 0.6 * 10.0
-    price = starved().between(FREED_S - 5.0, FREED_S)[-1].decision.price
+def test_floors_that_do_not_fit_give_way_by_weight_and_return_with_the_link():
+    """Of 2.8 Mbit/s of floors on 1.5 the heavy topic keeps its own; 3 s after the rise the light one has it again."""
+    played = play(at((0, 20), (STARVED_S, 1.5), (FREED_S, 20)), 45.0, settings=FLOORS)
+    span, after = (STARVED_S + 4.0, FREED_S), (FREED_S + 3.0, 45.0)
+    assert played.sent_hz("/scan", *span) > 0.9 * 15.0
+    assert played.sent_hz("/camera", *span) < 0.6 * 10.0
+    price = played.between(FREED_S - 5.0, FREED_S)[-1].decision.price
     assert price.yielding_weight == 1.0
     assert price.kept_minimum < 1.0
-    assert queues(starved().result, *span)[-1] < 1.0
-
-
-def test_floors_are_back_when_the_link_is():
-    """Within three seconds of the rise the light topic sends at its floor and more, and the price keeps all floors."""
-    assert starved().sent_hz("/camera", FREED_S + 3.0, 45.0) > 1.5 * 10.0
-    assert {tick.decision.price.yielding_weight for tick in starved().between(FREED_S + 3.0, 45.0)} == {0.0}
+    assert queues(played.result, *span)[-1] < 1.0
+    assert played.sent_hz("/camera", *after) > 1.5 * 10.0
+    assert {tick.decision.price.yielding_weight for tick in played.between(*after)} == {0.0}
 
 
 # -- a link near 0

@@ -1,7 +1,5 @@
 """A status document as `arpd status` prints it, or `arpd top` shows it, with nothing asked of a daemon."""
 
-from __future__ import annotations
-
 import io
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """A daemon that gives a test's answers, and the document of one that is busy."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer

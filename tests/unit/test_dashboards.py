@@ -1,7 +1,5 @@
 """Dashboards, rules and alerts ask for what arpd has, in PromQL that parses."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,90 +1,61 @@
 """The Markdown files of the repository: links lead somewhere, named files exist, and tables agree with the code."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from markdown_it import MarkdownIt
 
 from arpd.report.conditions import MESSAGE_IDS, Condition, Happening
 
 REPO = Path(__file__).resolve().parents[2]
 FOLDERS = ("arpd", "docs", "etc", "scripts", "systemd", "tests")
 DOCUMENTS = sorted([*REPO.glob("*.md"), *(path for folder in FOLDERS for path in (REPO / folder).rglob("*.md"))])
-_FENCE = re.compile(r"^(```|~~~).*?^\1[^\n]*$", re.DOTALL | re.MULTILINE)
-_CODE = re.compile(r"(`+)(?!`)(.+?)(?<!`)\1(?!`)", re.DOTALL)
-_LINK = re.compile(r"\[(?:[^\[\]]|\[[^\]]*\])*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")
-_REFERENCE = re.compile(r"^ {0,3}\[[^\]]+\]:\s*<?(\S+?)>?\s*(?:\"[^\"]*\")?$", re.MULTILINE)
-_HTML = re.compile(r"<(?:img|a)\b[^>]*?\b(?:src|href)=\"([^\"]+)\"")
-_HEADING = re.compile(r"^ {0,3}#{1,6}\s+(.+?)\s*#*$", re.MULTILINE)
-_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)
 _PATH = re.compile(rf"(?:{'|'.join(FOLDERS)})(?:/[\w.*-]+)+/?")
 
 
-def slug(heading: str) -> str:
-    """Return a heading's anchor by GitHub's rule: lower case, no punctuation, a hyphen for each space."""
-    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", heading)
-    text = re.sub(r"(?<!\w)[*_]+|[*_]+(?!\w)", "", text.replace("`", ""))
-    return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
+@cache
+class Document:
+    """What a Markdown file links to, what can be linked to in it, and what it shows as code."""
+
+    def __init__(self, path):
+        self.links, self.anchors, self.code, headings = [], set(), [], Counter()
+        tokens = MarkdownIt().parse(path.read_text(encoding="utf-8"))
+        for before, token in pairwise([*tokens[:1], *tokens]):
+            for part in (token, *(token.children or ())):
+                self.links += [part.attrs[name] for name in ("href", "src") if name in part.attrs]
+                if part.type in {"html_block", "html_inline"}:
+                    self.links += re.findall(r"<(?:img|a)\b[^>]*?\b(?:src|href)=\"([^\"]+)\"", part.content)
+                    self.anchors |= set(re.findall(r"<a\s+(?:id|name)=\"([^\"]+)\"", part.content))
+                elif "code" in part.type or part.type == "fence":
+                    self.code.append(part.content)
+            if token.children and before.type == "heading_open":
+                # GitHub's rule: lower case, no punctuation, a hyphen for each space, and a number where it is repeated.
+                title = "".join(part.content for part in token.children if part.type in {"text", "code_inline"})
+                name = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+                self.anchors.add(f"{name}-{headings[name]}" if headings[name] else name)
+                headings[name] += 1
 
 
-def anchors(markdown: str) -> set[str]:
-    """Return the anchors of a document; a repeated heading gets a number."""
-    found: set[str] = set()
-    counts: Counter[str] = Counter()
-    for heading in _HEADING.findall(_FENCE.sub("", markdown)):
-        name = slug(heading)
-        found.add(f"{name}-{counts[name]}" if counts[name] else name)
-        counts[name] += 1
-    return found | set(re.findall(r"<a\s+(?:id|name)=\"([^\"]+)\"", markdown))
+def leads_somewhere(path, target):
+    """Return whether a link of a document leads to the web, or to a file of the repository and an anchor in it."""
+    if re.match(r"[a-z][a-z0-9+.-]*:|//", target, re.IGNORECASE):
+        return True
+    name, _, anchor = unquote(target).partition("#")
+    there = (path.parent / name).resolve() if name else path
+    is_there = not name.startswith("/") and there.is_relative_to(REPO) and there.exists()
+    return is_there and (not anchor or (there.suffix == ".md" and anchor in Document(there).anchors))
 
 
-def links(markdown: str) -> list[str]:
-    """Return the targets of all links and pictures outside code."""
-    prose = _CODE.sub("`code`", _FENCE.sub("", markdown))
-    return [*_LINK.findall(prose), *_REFERENCE.findall(prose), *_HTML.findall(prose)]
-
-
-def has_anchor(path: Path, anchor: str) -> bool:
-    """Return whether a file is a document with such an anchor."""
-    return path.suffix == ".md" and anchor in anchors(path.read_text(encoding="utf-8"))
-
-
-def broken_links(path: Path) -> list[str]:
-    """Return the links of a document that lead nowhere in the repository."""
-    wrong = []
-    for target in links(path.read_text(encoding="utf-8")):
-        if _SCHEME.match(target) or target.startswith("//"):
-            continue
-        name, _, anchor = unquote(target).partition("#")
-        there = (path.parent / name).resolve() if name else path.resolve()
-        is_there = not name.startswith("/") and there.is_relative_to(REPO.resolve()) and there.exists()
-        if not is_there or (anchor and not has_anchor(there, anchor)):
-            wrong.append(target)
-    return wrong
-
-
-def named_paths(markdown: str) -> set[str]:
-    """Return the paths of the repository in code, inline or fenced; ``*`` may replace a part of a name."""
-    code = [match[0] for match in _FENCE.finditer(markdown)]
-    code += [match[2] for match in _CODE.finditer(_FENCE.sub("", markdown))]
-    words = {word.strip("\"'(),;:") for text in code for word in text.split()}
-    return {word for word in words if _PATH.fullmatch(word)}
-
-
-def missing_paths(markdown: str) -> list[str]:
-    """Return the named paths that do not exist."""
-    return sorted(path for path in named_paths(markdown) if not any(REPO.glob(path.rstrip("/"))))
-
-
-def name_of(path: Path) -> str:
+def name_of(path):
     return str(path.relative_to(REPO))
 
 
-def table(markdown: str, heading: str) -> list[list[str]]:
+def table(markdown, heading):
     """Return the rows of the first table under a heading, without its own head."""
     _, _, below = markdown.partition(f"\n{heading}\n")
     lines = re.search(r"^\|.*?(?=\n[^|]|\Z)", below, re.DOTALL | re.MULTILINE)
@@ -92,20 +63,22 @@ def table(markdown: str, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[0].splitlines()[2:]]
 
 
-def documented(name: str) -> str:
+def documented(name):
     return (REPO / name).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
 def test_every_relative_link_leads_somewhere(path):
     """File and anchor of every link exist."""
-    assert broken_links(path) == []
+    assert [target for target in Document(path).links if not leads_somewhere(path, target)] == []
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
 def test_every_named_file_exists(path):
-    """Every file or folder of the repository that a document names exists."""
-    assert missing_paths(path.read_text(encoding="utf-8")) == []
+    """Every file or folder of the repository that a document names in code exists; ``*`` may replace a part of one."""
+    words = {word.strip("\"'(),;:") for text in Document(path).code for word in text.split()}
+    named = sorted(word for word in words if _PATH.fullmatch(word))
+    assert [name for name in named if not any(REPO.glob(name.rstrip("/")))] == []
 
 
 def test_every_documented_metric_is_exposed():

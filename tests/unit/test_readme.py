@@ -1,7 +1,5 @@
 """What stands between the fences of the documents: each command exists, and what a user copies can be read."""
 
-from __future__ import annotations
-
 import ast
 import re
 

@@ -7,7 +7,7 @@ import runpy
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -25,22 +25,12 @@ def text(tag):
     return [element.text for element in MANIFEST.iter(tag)]
 
 
-# -- the manifest
-
-
-def test_manifest_and_code_have_one_version():
-    """Whoever raises one of the two is told of the other."""
+def test_the_manifest_has_the_codes_version_and_requirements():
+    """Whoever raises one version is told of the other; each python3 key is a requirement of pyproject.toml, too."""
     assert text("version") == [arpd.__version__]
-
-
-def test_the_manifest_names_what_rosdep_can_install():
-    """Each python3 key is a requirement of pyproject.toml, too."""
     required = {re.split(r"[^\w-]", name)[0].lower() for name in PROJECT["dependencies"]}
     keys = {key.removeprefix("python3-") for key in text("exec_depend") if key.startswith("python3-")}
     assert {{"yaml": "pyyaml"}.get(key, key) for key in keys} <= required
-
-
-# -- executables
 
 
 def test_every_command_is_an_executable():
@@ -54,15 +44,9 @@ def test_every_command_is_an_executable():
     assert set(ast.literal_eval(values["COMMANDS"])) == COMMANDS
 
 
-# -- launch files
-
-# ROS's modules of these names are not on PyPI, so others stand for them.
-LAUNCH = {
-    "launch": "LaunchDescription",
-    "launch.actions": "DeclareLaunchArgument",
-    "launch.substitutions": "LaunchConfiguration",
-    "launch_ros.actions": "Node",
-}
+# ROS's modules of these names are not on PyPI, so another stands for them.
+MODULES = ("launch", "launch.actions", "launch.substitutions", "launch_ros", "launch_ros.actions")
+KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LaunchConfiguration", "Node")
 
 
 class Action:
@@ -76,10 +60,8 @@ class Action:
 @pytest.fixture
 def launch(monkeypatch):
     """Return the processes that a launch file starts, each as executable and arguments, with values for its own."""
-    monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
-    for name, kind in LAUNCH.items():
-        module = ModuleType(name)
-        setattr(module, kind, type(kind, (Action,), {}))
+    module = SimpleNamespace(**{kind: type(kind, (Action,), {}) for kind in KINDS})
+    for name in MODULES:
         monkeypatch.setitem(sys.modules, name, module)
 
     def launch(name, **values):

@@ -1,7 +1,5 @@
 """The unit files, as systemd reads them, and the launcher."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -35,29 +33,18 @@ def test_systemd_finds_nothing_to_complain_about(tmp_path):
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_a_unit_keeps_the_notify_protocol_and_the_exit_codes(unit):
-    """Every unit uses notify from its main process, and no restart follows a bad configuration or command line."""
-    assert settings(unit)["Type"] == "notify"
-    assert settings(unit)["NotifyAccess"] == "main"
-    assert settings(unit)["RestartPreventExitStatus"].split() == ["78", "2"]
-    assert settings(unit)["ExecStart"].startswith(f"{INSTALLED}/arpd-launch ")
-
-
-@pytest.mark.parametrize("unit", UNITS)
-def test_hardening_leaves_dds_its_network_and_its_shared_memory(unit):
-    """No sandbox setting separates a unit from DDS or deletes shared memory of other nodes."""
-    assert set(settings(unit)["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
-    assert settings(unit)["RemoveIPC"] == "no"
-    assert not {"PrivateIPC", "PrivateNetwork", "DynamicUser", "ProcSubset"} & set(settings(unit))
-
-
-@pytest.mark.parametrize("unit", UNITS)
-def test_a_unit_needs_no_disk_no_ntp_and_nobody_to_reset_it(unit):
-    """A unit starts without disk space and NTP, and after any number of failures."""
-    assert settings(unit)["StartLimitIntervalSec"] == "0"
-    assert "time-sync.target" not in settings(unit)["After"].split()
-    on_disk = {"LogsDirectory", "StateDirectory", "CacheDirectory", "PrivateTmp", "PrivateDevices"}
-    assert not on_disk & set(settings(unit))
+def test_a_unit_has_what_its_start_its_restart_and_dds_need(unit):
+    """Notify from its main process, a restart at any time but after exit 78 or 2, and no sandbox that parts DDS."""
+    has = settings(unit)
+    assert (has["Type"], has["NotifyAccess"]) == ("notify", "main")
+    assert has["ExecStart"].startswith(f"{INSTALLED}/arpd-launch ")
+    assert (has["RestartPreventExitStatus"], has["StartLimitIntervalSec"]) == ("78 2", "0")
+    assert set(has["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
+    assert has["RemoveIPC"] == "no"  # else the shared memory of other nodes would go, too
+    assert not {"PrivateIPC", "PrivateNetwork", "DynamicUser", "ProcSubset"} & set(has)
+    # It starts without disk space and without NTP.
+    assert not {"LogsDirectory", "StateDirectory", "CacheDirectory", "PrivateTmp", "PrivateDevices"} & set(has)
+    assert "time-sync.target" not in has["After"].split()
 
 
 @pytest.mark.parametrize("unit", UNITS)

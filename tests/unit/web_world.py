@@ -1,7 +1,5 @@
 """Certificates, web-configs and a real server for the tests of HTTP's exposure."""
 
-from __future__ import annotations
-
 import socket
 import ssl
 import subprocess
@@ -20,12 +18,11 @@ HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
 PASSWORD = "correct horse"
 
 
-def make_certificate(folder, name, *, issuer="", extensions=("subjectAltName=DNS:localhost,IP:127.0.0.1",)):
+def make_certificate(folder, name, *, issuer=""):
     """Make name.crt and name.key, self-signed or issued by another made here."""
     command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
     command += ["-days", "3650", "-subj", f"/CN={name}", "-keyout", f"{name}.key", "-out", f"{name}.crt"]
-    for extension in extensions:
-        command += ["-addext", extension]
+    command += ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
     if issuer:
         command += ["-CA", f"{issuer}.crt", "-CAkey", f"{issuer}.key"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
@@ -47,30 +44,28 @@ class Running:
         self.server = server
         self.address = ("127.0.0.1", server.port)
 
-    def get(self, path="/-/healthy", *, tls=None, method="GET", **headers):
+    def get(self, path="/-/healthy", *, tls=None, **headers):
         connection = (
             HTTPSConnection("localhost", self.server.port, timeout=60.0, context=tls)
             if tls
             else HTTPConnection("127.0.0.1", self.server.port, timeout=60.0)
         )
         try:
-            connection.request(method, path, headers=headers)
+            connection.request("GET", path, headers=headers)
             answer = connection.getresponse()
-            raw = answer.read()
             return SimpleNamespace(
-                status=answer.status, headers=answer.headers, raw=raw, text=raw.decode(errors="replace")
+                status=answer.status, headers=answer.headers, text=answer.read().decode(errors="replace")
             )
         finally:
             connection.close()
 
-    def send(self, data, *, end=True):
-        """Send bytes, and perhaps their end, and return all that comes back."""
+    def send(self, data):
+        """Send bytes and their end, and return all that comes back."""
         with socket.create_connection(self.address, timeout=60.0) as raw:
             try:
                 raw.sendall(data)
-                if end:
-                    with suppress(OSError):  # a server that has refused already leaves no connection to half-close
-                        raw.shutdown(socket.SHUT_WR)
+                with suppress(OSError):  # a server that has refused already leaves no connection to half-close
+                    raw.shutdown(socket.SHUT_WR)
                 return raw.makefile("rb").read()
             except ConnectionError:
                 return b""

@@ -1,9 +1,6 @@
 """The decision log: what an operator reads between two snapshots of the daemon."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -65,7 +62,7 @@ class Log:
         self.at_s = 1000.0
         self.parts = {part: {**values} for part, values in CALM.items()}
         self.others = {"totals": Totals(), "confirmed": 0}
-        self.snapshot: Any = None
+        self.snapshot = None
 
     def tick(self, after_s=0.1, **changed):
         """Show the next snapshot and return the events; a change names a field of whatever part has it."""

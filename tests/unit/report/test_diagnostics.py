@@ -1,7 +1,5 @@
 """ROS diagnostics of a snapshot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

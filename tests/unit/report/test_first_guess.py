@@ -1,7 +1,5 @@
 """First preferences by type: what comes first, floors that suit the link, and pictures with their camera_info."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """The last ten minutes: one sample a second, bounded."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The one judgement of a snapshot, and the line for systemd."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

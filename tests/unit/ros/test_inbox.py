@@ -3,7 +3,6 @@
 import math
 from contextlib import suppress
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -44,8 +43,8 @@ def clock(monkeypatch):
     return Clock()
 
 
-NODE: Any = SimpleNamespace(context=None)
-QOS: Any = None
+NODE = SimpleNamespace(context=None)
+QOS = None
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def letters(clock):
     """Return an inbox of numbers; `found` has those that arrived, and `words` what was said."""
     found, words = [], []
     kind = Letters(topic="/letters", decode=int, most_bytes=26, most_hz=5.0)
-    made: Any = Inbox(NODE, kind, QOS, lambda _sample, number: found.append(number), clock=clock, warn=words.append)
+    made = Inbox(NODE, kind, QOS, lambda _sample, number: found.append(number), clock=clock, warn=words.append)
     made.found, made.words = found, words
     return made
 

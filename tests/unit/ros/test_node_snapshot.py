@@ -78,34 +78,28 @@ def states(snapshot):
     return [PublisherState(**row) for row in snapshot.publishers]
 
 
-@pytest.mark.parametrize("state", [PLAIN, REPLACED], ids=["plain", "swapped and refused"])
-def test_a_publisher_is_read_as_it_was_told(state):
-    """Encoding and decoding changes nothing; plan, lease and profile are those of the node."""
-    answer = PlanAnswer(state.generation, state.lease_s)
-    data = encode_snapshot("/n", [state], answer=answer, lacks_profile=state.lacks_profile)
-    assert states(decode_snapshot(data)) == [state]
-
-
-@pytest.mark.parametrize("relay", [RELAY, RelaySummary(), None], ids=["full", "empty", "none"])
-def test_the_answer_and_the_relay_arrive(relay):
-    """So do the node's name, its answer to plans, and the summary of a relay."""
-    found = decode_snapshot(encode_snapshot("/n", [], answer=ANSWER, relay=relay))
-    assert (found.node, found.answer, found.relay) == ("/n", ANSWER, relay)
+@pytest.mark.parametrize(
+    ("state", "relay"), [(PLAIN, None), (PLAIN, RelaySummary()), (REPLACED, RELAY)], ids=["plain", "empty", "full"]
+)
+def test_a_publisher_the_answer_and_the_relay_arrive_as_they_were(state, relay):
+    """Encoding and decoding changes nothing; plan, lease and profile of a publisher are those of its node."""
+    answer = replace(ANSWER, generation=state.generation, lease_s=state.lease_s)
+    data = encode_snapshot("/n", [state], answer=answer, lacks_profile=state.lacks_profile, relay=relay)
+    found = decode_snapshot(data)
+    assert states(found) == [state]
+    assert (found.node, found.answer, found.relay) == ("/n", answer, relay)
 
 
 def test_twenty_busy_publishers_take_less_than_two_kilobytes():
     """A snapshot of 20 publishers whose numbers all differ fits into two packets."""
     draw = random.Random(1)
+    counts, rates = ("offered", "published"), ("source_rate_hz", "published_rate_hz", "paced_rate_hz", "blocked_s")
     busy = [
         replace(
             REPLACED,
             topic=f"/robot/{draw.randrange(10**6)}/command",
-            offered=draw.randrange(10**7),
-            published=draw.randrange(10**7),
-            source_rate_hz=100 * draw.random(),
-            published_rate_hz=100 * draw.random(),
-            paced_rate_hz=100 * draw.random(),
-            blocked_s=100 * draw.random(),
+            **{name: draw.randrange(10**7) for name in counts},
+            **{name: 100 * draw.random() for name in rates},
         )
         for _ in range(20)
     ]

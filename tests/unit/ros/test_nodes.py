@@ -1,7 +1,6 @@
 """Nodes and their publishers, as the daemon counts them."""
 
 from types import SimpleNamespace
-from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +10,7 @@ from arpd.ros.nodes import MOST_NODES, MOST_PUBLISHERS, SILENT_S, Nodes
 from tests.examples import examples
 
 
-def snapshot(node, *topics, **fields) -> Any:
+def snapshot(node, *topics, **fields):
     neutral = {"type_name": "t", "direction": Direction.LOCAL, "payload_bytes": 0.0, "source_rate_hz": 0.0}
     usual = {**neutral, "node": node, "depth": 10, "baseline_depth": 10, **fields}
     return SimpleNamespace(
@@ -19,7 +18,7 @@ def snapshot(node, *topics, **fields) -> Any:
     )
 
 
-def shows(is_shown) -> Any:
+def shows(is_shown):
     """Return a graph in which a function of node and topic says what is shown."""
     return SimpleNamespace(shows_writer=is_shown, fields_of=lambda _topic: {})
 
@@ -70,7 +69,7 @@ def test_nothing_lives_that_was_not_both_shown_and_told(events):
     """At any order of events, a live publisher was shown once and told lately, and no other one is missing."""
     nodes = Nodes()
     now_s, told = 0.0, {}
-    shown: frozenset[Any] = frozenset()
+    shown = frozenset()
     for node, topic, is_graph, pause_s in events:
         now_s += pause_s
         key = (f"/n{node}", f"/t{topic}")

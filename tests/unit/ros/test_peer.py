@@ -1,7 +1,5 @@
 """The peer in virtual time: when it reports, and what."""
 
-from __future__ import annotations
-
 from itertools import count
 
 import pytest
@@ -16,88 +14,57 @@ from arpd.ros.peer import Peer, default_name
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.raw_reader import Sample
 
-SIZE = 1200
-ON_THE_WAY_S = 0.003
-
 
 class World:
     """An interface that receives 100 packets of 10 bytes a second, and the daemon across the link."""
 
     def __init__(self):
-        self.now_s = 100.0
-        self.has_interface = True
-        self.reports = []
+        self.now_s, self.has_interface, self.reports = 100.0, True, []
         self._numbers = count(1)
         self._peer = Peer(self._publish, reader=self, name="base-3f2a", clock=lambda: self.now_s)
 
     def _publish(self, message):
         self.reports.append(decode_report(bytes(message.data)))
 
-    # -- the interface
-
     def read(self):
-        if not self.has_interface:
-            return None
-        packets = round((self.now_s - 100.0) * 100)
-        return LinkCounters(
-            interface="wlan0",
-            rx_bytes=10 * packets,
-            rx_packets=packets,
-            tx_bytes=0,
-            tx_packets=0,
-            tx_dropped=0,
-            state=InterfaceState.UP,
-        )
+        packets, nothing = round((self.now_s - 100.0) * 100), dict.fromkeys(("tx_bytes", "tx_packets", "tx_dropped"), 0)
+        counted = {"rx_bytes": 10 * packets, "rx_packets": packets, **nothing}
+        return LinkCounters(interface="wlan0", state=InterfaceState.UP, **counted) if self.has_interface else None
 
-    # -- the daemon
-
-    def ping(self, quiet_s=0.0):
-        """Send a probe of one packet."""
-        header = ProbeHeader(train=next(self._numbers), index=0, packets=1, quiet_s=quiet_s)
-        sent_s = self.now_s - ON_THE_WAY_S
-        data = serialize_message(encode_probe(header, payload_bytes=SIZE))
-        self._peer.hear(Sample(data, b"writer", header.train, round(sent_s * 1e9), round(self.now_s * 1e9)))
-
-    def pass_time(self, seconds):
-        until_s = self.now_s + seconds
-        while (due_s := self._peer.step()) <= until_s:
-            self.now_s = max(self.now_s, due_s)
-        self.now_s = until_s
-
-    def collect(self, seconds, every_s=None):
-        """Return the reports of a duration, with a ping every ``every_s``."""
+    def collect(self, seconds):
+        """Send a ping every 0.1 s for so long; return the reports."""
         self.reports.clear()
-        for _ in range(round(seconds / every_s) if every_s else 1):
-            if every_s:
-                self.ping()
-            self.pass_time(every_s or seconds)
-        return list(self.reports)
+        for _ in range(round(seconds * 10)):
+            header = ProbeHeader(train=next(self._numbers), index=0, packets=1)
+            data, at_ns = serialize_message(encode_probe(header, payload_bytes=1200)), round(self.now_s * 1e9)
+            self._peer.hear(Sample(data, b"writer", header.train, at_ns - 3_000_000, at_ns))
+            until_s = self.now_s + 0.1
+            while (due_s := self._peer.step()) <= until_s:
+                self.now_s = max(self.now_s, due_s)
+            self.now_s = until_s
+        return [*self.reports]
 
 
-@pytest.fixture
-def world():
-    return World()
-
-
-def test_every_byte_and_every_moment_is_reported_once(world):
+def test_every_byte_and_every_moment_is_reported_once():
     """Received bytes and time are split over the reports without gap or overlap."""
-    reports = world.collect(20.0, every_s=0.1)
+    reports = World().collect(20.0)
     assert sum(report.rx_packets for report in reports) == pytest.approx(2000, abs=25)
     assert all(report.rx_bytes == 10 * report.rx_packets for report in reports)
     assert sum(report.interval_s for report in reports) == pytest.approx(20.0, abs=QUIET_S)
     assert {report.peer for report in reports} == {"base-3f2a"}
 
 
-def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on(world):
+def test_an_interface_that_is_gone_counts_nothing_and_the_reports_go_on():
     """Without the interface, reports go on with delays and without bytes; what came meanwhile is no burst."""
-    world.collect(1.0, every_s=0.1)
+    world = World()
+    world.collect(1.0)
     world.has_interface = False
-    reports = world.collect(1.0, every_s=0.1)
+    reports = world.collect(1.0)
     assert len(reports) >= 9
     assert all(report.delays_s for report in reports)
     assert sum(report.rx_bytes for report in reports) == 0
     world.has_interface = True
-    assert all(report.delays_s for report in world.collect(1.0, every_s=0.1))
+    assert all(report.delays_s for report in world.collect(1.0))
 
 
 def test_two_peers_tell_themselves_apart(monkeypatch):

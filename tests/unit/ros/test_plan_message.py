@@ -11,12 +11,7 @@ from arpd.model.endpoints import WriterQos
 from arpd.model.plan import MOST_GENERATION, TopicPlan
 from arpd.ros.documents import pack, unpack
 from arpd.ros.names import INFINITE_NS, LEAST_DEADLINE_NS
-from arpd.ros.plan_message import (
-    MOST_DEPTH,
-    checked_row,
-    decode_plan,
-    encode_plan,
-)
+from arpd.ros.plan_message import MOST_DEPTH, checked_row, decode_plan, encode_plan
 from arpd.ros.plan_message import ROW as NAMES
 from tests.examples import examples
 
@@ -30,10 +25,6 @@ def test_a_plan_is_read_as_it_was_written():
     plan = decode_plan(DATA)
     assert (plan.generation, plan.lease_s) == (MOST_GENERATION, 30.0)
     assert {topic: checked_row(topic, row, OWN) for topic, row in plan.rows.items()} == {"/t": ROW}
-
-
-def spoilt(**changes):
-    return pack({**unpack(DATA, most_bytes=1000), **changes})
 
 
 @pytest.mark.parametrize(
@@ -52,7 +43,7 @@ def spoilt(**changes):
 def test_a_head_is_within_bounds_or_refused_by_name(name, value):
     """Neither an odd generation, nor a lease shorter than the price is repeated, is taken."""
     with pytest.raises(ValueError, match=name):
-        decode_plan(spoilt(**{name: value}))
+        decode_plan(pack({**unpack(DATA, most_bytes=1000), name: value}))
 
 
 @given(st.binary(max_size=200), st.lists(st.tuples(st.integers(0, 10**4), st.integers(0, 255)), max_size=6))
@@ -71,15 +62,7 @@ def test_any_bytes_are_a_plan_or_refused(noise, spoils):
         assert all(isinstance(row, TopicPlan) for row in rows)
 
 
-FIELDS = {
-    "depth": 40,
-    "deadline_ns": 10**8,
-    "rate_hz": 50.0,
-    "min_rate_hz": 1.0,
-    "weight": 1.5,
-    "wire_bytes": 900.0,
-    "packets": 1,
-}
+FIELDS = {**{name: getattr(ROW, name) for name in NAMES}, "rate_hz": 50.0}
 FLOATS, INTEGERS = st.floats(), st.integers(max_value=INFINITE_NS - 1)
 BOUNDS = {
     "rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),

@@ -28,13 +28,9 @@ REPORT = PeerReport(
 )
 
 
-def decode(message):
-    return decode_report(bytes(message.data))
-
-
 def test_a_report_comes_back_as_it_was():
     """Counters, delays, trains with their departures, and the name of the peer."""
-    assert decode(encode_report(REPORT)) == REPORT
+    assert decode_report(bytes(encode_report(REPORT).data)) == REPORT
 
 
 def test_a_report_of_another_version_or_length_is_refused():

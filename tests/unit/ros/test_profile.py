@@ -1,9 +1,17 @@
-"""The Fast DDS profile that arpd's processes choose."""
+"""What arpd's processes choose of Fast DDS: profile, transports, discovery servers."""
 
 import pytest
 
+from arpd.model.settings import LinkDomain
 from arpd.ros.profile import missing_in_profile
-from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES, TWO_ENDED_PROFILE, prepare_environment
+from arpd.ros.runtime import (
+    FASTDDS_PROFILE,
+    PROFILE_VARIABLES,
+    TWO_ENDED_PROFILE,
+    _discovery,
+    prepare_environment,
+    send_without_waiting,
+)
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
@@ -31,12 +39,9 @@ def test_two_ends_replace_arpds_profile_for_nodes(name, tmp_path):
 
 def test_two_ends_stay_on_their_host_unless_told_otherwise():
     """The node in the local domain is confined to its host, but a range that the user has chosen stays."""
-    environment: dict[str, str] = {}
-    prepare_environment(TWO_ENDED_PROFILE, environment)
-    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    prepare_environment(TWO_ENDED_PROFILE, environment)
-    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    for before, after in (({}, "LOCALHOST"), ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "SUBNET")):
+        prepare_environment(TWO_ENDED_PROFILE, environment := dict(before))
+        assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == after
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
@@ -64,3 +69,40 @@ def test_a_profile_of_the_users_own_is_judged_by_its_settings(content, missing, 
     if content is not None:
         path.write_text(content)
     assert missing_in_profile({PROFILE_VARIABLES[0]: str(path)}, folder=tmp_path) == missing.format(path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({}, "DEFAULT?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": ""}, "DEFAULT?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, "UDPv4?non_blocking=true"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA?max_msg_size=1MB"}, "LARGE_DATA?max_msg_size=1MB"),
+    ],
+)
+def test_the_transports_chosen_stay_and_only_an_option_is_added(before, after):
+    """The user's transports stay, and so do the user's options if there are any."""
+    send_without_waiting(before)
+    assert before == {"FASTDDS_BUILTIN_TRANSPORTS": after}
+
+
+@pytest.mark.parametrize(
+    ("before", "wanted"),
+    [({}, "TRUE"), ({"ROS_SUPER_CLIENT": "FALSE"}, "FALSE"), ({"ROS_SUPER_CLIENT": ""}, "TRUE")],
+)
+def test_a_discovery_server_tells_arpd_of_every_topic(before, wanted):
+    """A plain client hears only of topics that it uses itself; arpd is a super client unless the user says no."""
+    prepare_environment(FASTDDS_PROFILE, alone := dict(before))
+    assert alone.get("ROS_SUPER_CLIENT") == before.get("ROS_SUPER_CLIENT")
+    prepare_environment(FASTDDS_PROFILE, served := {**before, "ROS_DISCOVERY_SERVER": "127.0.0.1:11811"})
+    assert served["ROS_SUPER_CLIENT"] == wanted
+
+
+def test_the_link_s_participant_has_no_discovery_server_of_the_robot():
+    """While the first node of the link is made no server is named, and afterwards all is as before."""
+    before = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = dict(before)
+    with _discovery(LinkDomain(domain_id=77, peer="10.0.0.2"), environment):
+        assert "ROS_DISCOVERY_SERVER" not in environment
+        assert environment["ROS_STATIC_PEERS"] == "127.0.0.1;10.0.0.2"
+    assert environment == before

@@ -1,7 +1,6 @@
 """Admission of messages from the network: rates, and reports of peers."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -54,7 +53,7 @@ class Daemon(PeerReports):
         """Let a peer answer a probe of this number; return why it is refused, or what is believed."""
         return self.hear(now_s, last_probe=self.number(probe), **fields)
 
-    def hear(self, now_s=0.0, *, must_answer=True, **fields) -> Any:
+    def hear(self, now_s=0.0, *, must_answer=True, **fields):
         refusal = self.note(replace(REPORT, received_at_s=now_s, **fields), must_answer=must_answer)
         return refusal or self.take(now_s)[0][0]
 

@@ -1,14 +1,7 @@
 """scripts/bench/report.py: what a summary keeps, and what a page shows first."""
 
-from __future__ import annotations
-
-from scripts.bench.report import Summary, Table, figure, targets
+from scripts.bench.report import REPO, RESULTS, Summary, Table, figure, targets
 from scripts.bench.robots import CELL, FAULTS, summary_of
-
-
-def summary(rows, figures=()):
-    tables = [Table(columns=["robot", "side", "late %"], rows=rows)]
-    return Summary(about="", tables=tables, figures=list(figures))
 
 
 def of_rounds(rows, *conditions):
@@ -52,7 +45,7 @@ def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
 def test_all_targets_stand_in_one_list_and_nowhere_else():
     """Those that are missed stand first, the others are folded; a column that no figure has is left out."""
     figures = [figure("well", 1.0, "s", most=2.0), figure("late", 3.0, "s", most=2.0), figure("seen", 4.0)]
-    known = {"demo": summary([], figures=figures), "swap": summary([], figures=figures[:1])}
+    known = {"demo": Summary(about="", figures=figures), "swap": Summary(about="", figures=figures[:1])}
     shown, _, folded = targets(known).partition("<details>")
     assert "1 of 3 targets" in shown
     assert ("| demo | late | **3** | ≤ 2 | s |" in shown, "| swap | well | 1 | ≤ 2 | s |" in folded) == (True, True)
@@ -60,7 +53,10 @@ def test_all_targets_stand_in_one_list_and_nowhere_else():
     assert ("| seen | 4 |" in section, "| late |" in section, "well" in section) == (True, False, False)
 
 
-def test_a_long_table_is_folded():
-    """A reader sees its title, and opens it."""
-    shown, _, folded = summary([["tb4", "plain", 1]] * 30).markdown().partition("<details>")
-    assert ("tb4" in shown, folded.count("tb4")) == (False, 30)
+def test_the_page_is_what_the_summaries_say():
+    """Every kept summary stands in docs/results.md as it is, long tables folded, and the targets of all in one list."""
+    page = (REPO / "docs/results.md").read_text()
+    known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
+    for name, text in {"targets": targets(known), **{name: one.markdown() for name, one in known.items()}}.items():
+        _, _, block = page.partition(f"<!-- {name}:begin -->\n")
+        assert block.split("<!--")[0].split() == text.split(), name

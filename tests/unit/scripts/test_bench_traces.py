@@ -1,6 +1,6 @@
 """scripts/bench/traces.py: a folder of recorded links becomes a table and dots."""
 
-from __future__ import annotations
+import logging
 
 import pytest
 
@@ -15,7 +15,8 @@ def folder(tmp_path):
     (tmp_path / "a.csv").write_text(CSV)
     (tmp_path / "b.csv").write_text(CSV.replace("15", "x"))
     (tmp_path / "c.up").write_text("1\n")
-    return tmp_path
+    yield tmp_path
+    logging.disable(logging.NOTSET)  # which a process of the benchmark's pool switches off for good
 
 
 def test_a_file_that_is_no_recording_is_named_with_its_line_and_the_others_are_read(folder, capsys):

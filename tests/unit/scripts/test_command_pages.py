@@ -1,7 +1,5 @@
 """scripts/command_pages.py: the man page and the bash completion say what the parser says."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("argparse_manpage", reason="argparse-manpage is not installed: pip install argparse-manpage")

@@ -1,7 +1,5 @@
 """The link in virtual time: rate, overhead, loss, hidden queue, and conservation of packets."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from random import Random
 

@@ -1,7 +1,5 @@
 """The rate schedule of a simulated link: its text form, its faults and its rates."""
 
-from __future__ import annotations
-
 import pytest
 
 from arpd.sim.schedule import RateSchedule, RateStep, Service

@@ -1,7 +1,5 @@
 """Link traces: all formats, and faults with their line."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Who answers: the back end of the configuration, and the closed form where that fails."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Eq. (4) as published, with every back end."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import pytest

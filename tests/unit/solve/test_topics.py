@@ -1,19 +1,12 @@
 """Rows of the program, from publishers or from what the configuration assumes."""
 
-from __future__ import annotations
-
 import pytest
 
 from arpd.model.endpoints import Direction
 from arpd.model.observation import MemoryState
 from arpd.model.settings import DefaultPreferences, ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
-from arpd.solve.topics import (
-    assumed_traffic,
-    measured_traffic,
-    memory_budget_bytes,
-    rows_of_traffic,
-)
+from arpd.solve.topics import assumed_traffic, measured_traffic, memory_budget_bytes, rows_of_traffic
 from tests.sample_publishers import publisher
 
 MIB = 2.0**20

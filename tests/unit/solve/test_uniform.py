@@ -1,6 +1,6 @@
 """The uniform policy: Eq. (4) on the capacity, the topics and the memory of the moment."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,6 +11,7 @@ from arpd.model.allocation import AllocationStatus
 from arpd.model.settings import LinkSettings, Policy, ProgramSettings, Settings
 from arpd.solve.program import Program
 from tests.examples import examples
+from tests.unit.solve import test_program
 from tests.unit.solve.test_program import AMPLE, solved, topic
 
 
@@ -60,24 +61,11 @@ def test_a_link_that_cannot_carry_rmin(max_rate_hz, rate_hz, words):
 
 @st.composite
 def robots(draw):
-    low = draw(st.integers(1, 20))
-    fields = {
-        "min_rate_hz": draw(st.one_of(st.just(0.0), st.floats(0.01, 50.0))),
-        "min_depth": low,
-        "max_depth": draw(st.integers(low, 5000)),
-        "latency_budget_s": draw(st.one_of(st.none(), st.floats(0.01, 5.0))),
-    }
-    return [
-        topic(
-            f"/t{i}",
-            wire_bytes=draw(st.floats(60.0, 1e5)),
-            packets=draw(st.integers(1, 70)),
-            desired_rate_hz=max(fields["min_rate_hz"], draw(st.one_of(st.just(1e6), st.floats(0.1, 1000.0)))),
-            slot_bytes=draw(st.floats(1.0, 1e5)),
-            **fields,
-        )
-        for i in range(draw(st.integers(1, 12)))
-    ]
+    """Draw topics of any cost with the same preferences."""
+    first, *others = draw(test_program.robots())
+    names = ("min_rate_hz", "weight", "min_depth", "max_depth", "latency_budget_s")
+    alike = {name: getattr(first, name) for name in names}
+    return [first, *(replace(t, **alike, desired_rate_hz=max(t.desired_rate_hz, first.min_rate_hz)) for t in others)]
 
 
 @examples(200)

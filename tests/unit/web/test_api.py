@@ -1,7 +1,5 @@
 """The API's documents against their schemas, their readers, and the keys of earlier versions."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -78,15 +76,10 @@ def test_a_document_read_is_what_was_written(documents, sample_snapshot):
     """`arpd status` gets the daemon's own values back, infinite ones too."""
     status, empty = (read(Status, documents[extent]["status"]) for extent in ("full", "empty"))
     assert (status.link, status.price) == (sample_snapshot.link, sample_snapshot.decision.price)
-    assert status.interface_counters == sample_snapshot.observation.counters
-    assert status.relay == sample_snapshot.observation.relay
-    by_topic = {topic.topic: topic for topic in status.topics}
-    assert {name: topic.planned for name, topic in by_topic.items() if topic.planned} == (
-        sample_snapshot.decision.plan.topics
-    )
+    assert (status.relay, status.events) == (sample_snapshot.observation.relay, (EVENT,))
+    confirmed = {topic.topic: topic.confirmed for topic in status.topics}
     for publisher in sample_snapshot.observation.publishers:
-        assert replace(by_topic[publisher.topic].confirmed, announced_at_s=publisher.announced_at_s) == publisher
-    assert status.events == (EVENT,)
+        assert replace(confirmed[publisher.topic], announced_at_s=publisher.announced_at_s) == publisher
     assert (empty.link.age_s, empty.link.queue_delay_s) == (math.inf, math.inf)
     assert read(History, documents["full"]["history"]).link["queue_delay_s"] == (0.0125,)
 

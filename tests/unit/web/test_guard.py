@@ -1,7 +1,5 @@
 """Passwords, and for whom they count."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import threading
@@ -9,13 +7,7 @@ import threading
 import pytest
 
 from arpd.web.access import client_of
-from arpd.web.passwords import (
-    BURST,
-    MAX_WAITING,
-    Passwords,
-    PasswordVerdict,
-    bcrypt_matches,
-)
+from arpd.web.passwords import BURST, MAX_WAITING, Passwords, PasswordVerdict, bcrypt_matches
 from tests.unit.web_world import HASH, PASSWORD, Clock
 
 

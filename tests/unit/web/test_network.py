@@ -1,7 +1,5 @@
 """The HTTP server under TLS, users, floods and noise, with real sockets on loopback."""
 
-from __future__ import annotations
-
 import base64
 import json
 import random

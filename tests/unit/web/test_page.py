@@ -1,11 +1,8 @@
 """The page: its places, its assets, and how they are served."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -94,7 +91,7 @@ def test_every_place_of_the_page_is_in_the_document():
     places.feed((WEB / "assets/page.html").read_text())
     assert len(places.paths) > 60
     for path in places.paths:
-        value: Any = document
+        value = document
         for key in path.split("."):
             value = value[0] if isinstance(value, list) else value
             assert key in value, path

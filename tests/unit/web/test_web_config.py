@@ -1,7 +1,5 @@
 """The web-config file: the keys of exporters, one clear line for each fault, and changes while the daemon runs."""
 
-from __future__ import annotations
-
 import logging
 import re
 import shutil
