@@ -11,7 +11,6 @@ from unittest.mock import Mock
 
 import pytest
 
-from arpd.cli import main
 from arpd.host.config.keys import flatten
 from arpd.host.config.load import load_settings
 from arpd.model.errors import LinkError, RosUnavailableError
@@ -43,16 +42,12 @@ TOPICS = "--sensing 11 --actuation 0"
         ("status --url file:///etc/passwd", "--url"),
         ("status --url http://[::1", "--url"),
         ("status --url http://me:secret@localhost:9464", "--user NAME"),
-        ("solve", "--rmax"),
-        ("run --log-level loud", "--log-level"),
         (f"solve --rmax nan {TOPICS}", "--rmax"),
         (f"solve --rmax 1e-320 {TOPICS} --rmin 1e-322", "--rmax"),
         (f"solve --rmax 100 {TOPICS} --dmax 99999999999999999999", "--dmax"),
         ("solve --rmax 100 --sensing 0 --actuation 0", "arpd"),
         (f"solve --rmax 100 {TOPICS} --dmin 9 --dmax 3", "arpd"),
-        ("solve --rmax 100 --config x", "--rmax"),
         ("solve --config x --capacity 5mbit --rmin 5", "--rmax"),
-        ("solve --capacity 5mbit", "--config"),
         ("solve --config x", "--capacity"),
         ("solve --config x --capacity 5", "--capacity"),
     ],
@@ -85,15 +80,10 @@ def test_a_bad_configuration_exits_78_with_one_line_per_fault(run, config, text,
     assert (code, json.loads(out)["faults"], told) == (78, err.splitlines(), "")
 
 
-def test_an_interface_that_does_not_exist_exits_78_and_names_those_that_do(run, config):
-    """The file is checked against the interfaces of this host."""
-    path = config("link:\n  interface: nosuch0\n")
-    code, out, err = run("check", path)
-    assert (code, out) == (78, "")
-    assert err.startswith(f"{path}:2:14: link.interface: 'nosuch0' does not exist on this host; write auto or one of ")
-    assert "lo" in err
-    assert run("check", "--no-interfaces", path)[0] == 0
-    assert run("check", "--far", path)[0] == 0, "interface and web server are those of the robot"
+def test_the_interface_of_the_file_is_one_of_this_host(run, config):
+    """The far end has other ones, and an option says that the file is for another computer."""
+    path = config("link: {interface: nosuch0}")
+    assert [run("check", *options, path)[0] for options in ((), ("--no-interfaces",), ("--far",))] == [78, 0, 0]
 
 
 def test_check_says_what_differs_from_the_defaults(run, config):
@@ -176,14 +166,6 @@ def test_a_domain_without_ports_is_refused_in_words(monkeypatch):
     assert ran.stderr.startswith("arpd: ROS 2 does not start (there is no domain above 232, and ROS_DOMAIN_ID is 233)")
 
 
-@pytest.mark.parametrize("command", [*main.COMMANDS, ""])
-def test_help_fits_a_narrow_terminal(run, monkeypatch, command):
-    """Prose is filled; only tables and examples are wider."""
-    monkeypatch.setenv("COLUMNS", "60")
-    out = run(*command.split(), "--help")[1]
-    assert not [line for line in out.splitlines() if len(line) > 60 and not main.is_table(line)]
-
-
 @pytest.mark.parametrize(
     ("line", "exits", "said"),
     [("status --help", 0, "now>planned"), ("solve --rmax 100 --sensing 80 --actuation 1", 1, "Rmax/N - Rmin")],
@@ -228,28 +210,15 @@ def test_solve_gives_the_published_table(run, backend):
         assert answer["rate_hz"] == pytest.approx(rmax / 12 - 1, rel=1e-6)
 
 
-def test_solve_exits_1_with_the_reason_when_infeasible(run):
-    """Text and JSON name the constraint that cannot be met."""
-    arguments = ("solve", "--rmax", 100, "--sensing", 80, "--actuation", 1)
-    code, out, err = run(*arguments)
-    assert (code, out) == (1, "")
-    assert err.startswith("arpd: infeasible: (2) leaves ")
-    code, out, _ = run(*arguments, "--json")
-    assert code == 1
-    assert json.loads(out)["status"] == "infeasible"
+def test_what_is_infeasible_says_so_as_json_too(run):
+    """The exit code is 1, as it is for text."""
+    code, out, _ = run("solve", "--rmax", 100, "--sensing", 80, "--actuation", 1, "--json")
+    assert (code, json.loads(out)["status"]) == (1, "infeasible")
 
 
 def test_check_reads_the_web_config_too(run, tmp_path):
-    """Faults of a web-config beside the file are one line each, like the file's own."""
-    path = tmp_path / "arpd.yaml"
-    path.write_text("http: {web_config: web.yaml}")
-    for text, wrong in (
-        ("basic_auth_users: {a: x}", "1:23: basic_auth_users.a: is not"),
-        ("#", "1:1: file: is empty; a"),
-    ):
-        (tmp_path / "web.yaml").write_text(text)
-        code, out, err = run("check", "--no-interfaces", path)
-        assert (code, out) == (78, "")
-        assert err.startswith(f"{tmp_path}/web.yaml:{wrong}")
-    (tmp_path / "web.yaml").write_text("basic_auth_users: {}")
-    assert run("check", "--no-interfaces", path)[0] == 0
+    """A fault of a web-config beside the file is a line like the file's own."""
+    (tmp_path / "arpd.yaml").write_text("http: {web_config: web.yaml}")
+    (tmp_path / "web.yaml").write_text("basic_auth_users: {a: x}")
+    code, out, err = run("check", tmp_path / "arpd.yaml")
+    assert (code, out, err.startswith(f"{tmp_path}/web.yaml:1:23: basic_auth_users.a: ")) == (78, "", True)

@@ -74,15 +74,6 @@ def test_the_same_seed_gives_the_same_document(simulate):
     assert first == again != other
 
 
-@pytest.mark.parametrize(("columns", "ways"), [("60", ["arpd"]), ("80", ["arpd", "without"]), ("400", list(WAYS))])
-def test_a_narrow_terminal_shows_fewer_ways_whole(simulate, monkeypatch, columns, ways):
-    """The oracle's columns go first, then those without arpd."""
-    monkeypatch.setenv("COLUMNS", columns)
-    _, out, _ = simulate("--rate", "0:3mbit", *QUICK)
-    heading = [line.split() for line in out.splitlines() if line.startswith("TOPIC")][-1]
-    assert [word for word in heading if word in WAYS] == ways * 3
-
-
 # -- the robot and the link
 
 

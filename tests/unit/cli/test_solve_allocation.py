@@ -30,14 +30,6 @@ def test_several_capacities_are_a_list_or_tables(run, config):
     assert "gave way: " in out
 
 
-def test_a_narrow_terminal_shows_rates_and_depths_whole(run, config, monkeypatch):
-    """Columns go as a whole; what the plan sets stays."""
-    monkeypatch.setenv("COLUMNS", "60")
-    lines = run("solve", "--config", config(), "--capacity", "5mbit")[1].splitlines()
-    assert max(map(len, lines)) <= 60
-    assert next(line.split()[:4] for line in lines if line.startswith("/camera")) == ["/camera", "10.7", "187.5", "8"]
-
-
 def test_topics_of_which_nothing_is_known_are_left_out(run, config):
     """With none there is nothing to plan, and the file is wrong."""
     path = config(f"{SMALL}  - {{name: /odd, payload: 1kB}}\n")

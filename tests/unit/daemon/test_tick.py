@@ -155,34 +155,23 @@ class KnownLink:
 
 
 def test_it_plans_twice_a_second_and_at_once_on_news():
-    """Between two plans only the price follows the link; another state of the link is news."""
-    link = KnownLink()
-    daemon: Any = Daemon(Robot(), Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
-    for tick in range(10):
-        daemon.tick(0.1 * tick)
-    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (2, 6)
-    link.state = LinkState.OUTAGE
-    daemon.tick(1.0 - 0.05)
-    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (3, 11)
-
-
-def test_every_duration_goes_to_its_histogram():
-    """Ticks, their lateness and solves of the whole program are those that `arpd run` has histograms for."""
-    world, told = Robot(), Counter()
+    """Between two plans only the price follows the link, and another state is news; each duration has its histogram."""
+    world, link, told = Robot(), KnownLink(), Counter()
     world.change(source_rate_hz=100.0, remote_readers=1)
-    daemon: Any = Daemon(
-        world,
-        Settings(),
-        interface="lo",
-        clock=lambda: 0.0,
-        estimator=KnownLink(),
-        timed=lambda name, _took_s: told.update([name]),
-    )
+
+    def timed(name, _took_s):
+        told[name] += 1
+
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link, timed=timed)
     for tick in range(10):
         daemon.record.note_lateness(0.0)
         daemon.tick(0.1 * tick)
+    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (2, 6)
     assert told == {"tick_lateness": 10, "tick_duration": 10, "solve_duration": 2}
     assert told.keys() == new_durations().keys()
+    link.state = LinkState.OUTAGE
+    daemon.tick(1.0 - 0.05)
+    assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (3, 11)
 
 
 def test_the_price_follows_the_link_within_a_tick():

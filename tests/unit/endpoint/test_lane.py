@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.meters import SampleRate
 from arpd.model.plan import TopicPlan
-from tests.examples import examples
 
 LARGE = bytes(SMALL_BYTES)  # after the number in front of it
 
@@ -99,18 +98,6 @@ def test_of_a_source_that_alternates_both_kinds_are_heard():
     kinds = Counter(number % 2 for _, _, number in play(make(5.0), every(10.0, "gps")))
     assert kinds.total() == pytest.approx(100, abs=4)
     assert min(kinds[0], kinds[1]) >= 30
-
-
-@examples(50)
-@given(st.floats(0.5, 500.0), st.floats(0.5, 500.0))
-def test_a_rate_is_a_ceiling_and_takes_nothing_from_a_slower_source(rate_hz, source_hz):
-    """Beyond one burst no more leaves than the rate, however it must be thinned; a slower source loses nothing."""
-    lane = make(rate_hz)
-    for_s = 200.0 / source_hz
-    left = [each for each in play(lane, every(source_hz, "a", for_s)) if each[0] < for_s]
-    assert len(left) <= rate_hz * for_s + max(2.0, 0.3 * rate_hz) + 1.5
-    if source_hz <= rate_hz:
-        assert lane.withheld.total() == 0
 
 
 def test_what_has_expired_does_not_leave():

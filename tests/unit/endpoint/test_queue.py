@@ -61,9 +61,6 @@ class Participant:
             next_s = min(end_s, self.queue.due_s(self.now_s), *due_s.values())
             self.now_s = max(next_s, self.now_s + 1e-4)
 
-    def departures(self, name):
-        return [at_s for at_s, _ in self.left[name]]
-
     def ages(self, name):
         return [at_s - float(sample[:20]) for at_s, sample in self.left[name]]
 
@@ -74,7 +71,7 @@ def test_cameras_that_coincide_leave_one_by_one_and_fresh():
     for name in "abc":
         robot.topic(name, plan(5.0))
     robot.play(dict.fromkeys("abc", (20.0, LARGE)), 4.0)
-    times = sorted(at_s for name in "abc" for at_s in robot.departures(name) if at_s > 101.0)
+    times = sorted(at_s for name in "abc" for at_s, _ in robot.left[name] if at_s > 101.0)
     crosses_s = plan(5.0).wire_bytes / CAPACITY
     assert min(after - before for before, after in pairwise(times)) > 0.8 * crosses_s
     assert max(age_s for name in "abc" for age_s in robot.ages(name)) <= 1.0 / 20.0 + 0.001

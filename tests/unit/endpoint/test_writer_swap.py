@@ -35,7 +35,6 @@ def acknowledge(world, *, is_acknowledging=True):
         (0.0049, True, 0.2),
         (0.0, False, 1.5),
         (0.005, True, 3.0),
-        (0.3, False, 3.0),
         (None, True, 3.0),
     ],
 )
@@ -59,21 +58,6 @@ def settled(world, swap, wanted=None):
     now_s = run(swap, 0.0, TIMING.settle_s + 0.01)
     assert swap.state is SwapState.WATCHING
     return now_s
-
-
-def test_samples_are_held_once_and_only_when_no_moment_offers_itself():
-    """With slow acknowledgements the swap watches, holds once, and watches until patience ends."""
-    world, swap = make()
-    now_s = settled(world, swap)
-    changes = []
-    while swap.state is not SwapState.PROVING:
-        before = swap.state
-        now_s = run(swap, now_s, 0.01)
-        if swap.state is not before:
-            changes.append((swap.state, now_s - TIMING.settle_s))
-    assert [state for state, _ in changes] == [SwapState.HOLDING, SwapState.WATCHING, SwapState.PROVING]
-    expected_s = [TIMING.watch_s, TIMING.watch_s + TIMING.hold_s, TIMING.patience_s]
-    assert [at_s for _, at_s in changes] == pytest.approx(expected_s, abs=0.05)
 
 
 def test_patience_ends_and_the_old_writer_drains_beside():

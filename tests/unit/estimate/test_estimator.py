@@ -23,11 +23,6 @@ FALLEN = {"rate": 5e5, "delay_s": 0.3}  # a quarter of it, behind a queue
 SIZE, PACKETS = 14_900, 10  # bytes of a train and the packets they are in
 
 
-def seen(capacity):
-    """Return a train that saw this capacity."""
-    return Train(payload_bytes=SIZE, duration_s=SIZE / capacity, packets=PACKETS)
-
-
 def about(capacity, part=0.1):
     return pytest.approx(capacity, rel=part)
 
@@ -77,7 +72,10 @@ class Link:
             rx_bytes=round(rate * interval_s),
             rx_packets=10,
             delays_s=(delay_s + clock_s,) if self.arrived > before else (),
-            trains=tuple(train if isinstance(train, Train) else seen(train) for train in trains),
+            trains=tuple(
+                each if isinstance(each, Train) else Train(payload_bytes=SIZE, duration_s=SIZE / each, packets=PACKETS)
+                for each in trains
+            ),
             last_probe=self.arrived,
             probe_packets=sum(each.packets for _, each in self.probes if each.number < self.arrived),
         )
@@ -98,17 +96,6 @@ class Link:
 
 
 # -- before a peer has measured
-
-
-@pytest.mark.parametrize("capacity", [0.01 * FIRST, FIRST, 20 * FIRST])
-def test_three_trains_are_the_first_evidence(capacity):
-    """Three trains replace the configured capacity, upwards or downwards."""
-    link = Link()
-    assert link.ticks(2, trains=[capacity], rate=1e3).kind is CapacityKind.CONFIGURED
-    estimate = link.tick(trains=[capacity], rate=1e3)
-    assert estimate.kind is CapacityKind.PEER
-    assert estimate.capacity_bytes_per_second == about(capacity)
-    assert link.estimator.has_evidence
 
 
 @pytest.mark.parametrize(("peers", "wait_s"), [(None, parameters.FIRST_WAIT_S), (1, parameters.PEER_LOST_S)])
@@ -136,7 +123,7 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert link.ticks(5, trains=[FIRST]).capacity_bytes_per_second > 6e5
 
 
-def test_hole_2_samples_that_stay_on_the_host_are_no_bursts():
+def test_samples_that_stay_on_the_host_are_no_bursts():
     """Large samples for remote readers may stand before the link for a moment; local ones never do."""
     allowances = {
         direction: Link()
@@ -185,14 +172,6 @@ def test_after_an_outage_two_trains_show_the_link(part):
     link.ticks(4, rate=1e4)
     estimate = link.ticks(2, rate=1e4, trains=[part * FIRST])
     assert estimate.capacity_bytes_per_second == about(part * FIRST, 0.15)
-
-
-def test_the_reason_is_what_was_seen():
-    """After an outage trains are the reason of a capacity, while next to nothing is carried."""
-    link = Link().measured()
-    link.ticks(30, silent=True)
-    link.ticks(4, rate=1e3, trains=[0.2 * FIRST])
-    assert "trains see" in link.ticks(8, rate=1e3).evidence
 
 
 @pytest.mark.parametrize("trouble", [{"silent": True}, FALLEN], ids=["outage", "queue"])
@@ -259,15 +238,6 @@ def sent_alone(link, ticks, *, rate=300_000, backlog=0, peers=None):
         counters = replace(INTERFACE, tx_bytes=round(link.sent), backlog_bytes=backlog)
         estimate = link.tick(silent=True, counters=counters, peers=peers)
     return estimate
-
-
-def test_alone_the_queue_of_this_host_shows_the_capacity():
-    """Without a peer, what leaves while the interface is surely busy is the capacity, and its kind is local."""
-    link = Link()
-    estimate = sent_alone(link, 130, backlog=200_000)
-    assert estimate.kind is CapacityKind.LOCAL
-    assert estimate.capacity_bytes_per_second == about(300_000, 0.15)
-    assert "queue of this host" in estimate.evidence
 
 
 def test_a_peer_that_returns_needs_new_trains():

@@ -1,5 +1,6 @@
-"""Schedule of probes within their share of the link: pings always, trains when savings pay for them."""
+"""Probes: pings always, trains when savings pay for them, and how many packets never arrive."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -7,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.estimate import probes
-from arpd.estimate.probes import ProbeSchedule
+from arpd.estimate.probes import ProbeLoss, ProbeSchedule
+from arpd.estimate.receiver import Receiver
+from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from tests.examples import examples
 
@@ -58,10 +61,6 @@ def cost(sent, *, copies=1):
     )
 
 
-def trains(sent):
-    return [request for _, request in sent if request.packets > 1]
-
-
 def allowed(capacity, *, copies=1):
     """Return the share of a capacity, or the cost of the rarest pings and trains if that is more (bytes/s)."""
     pings = (probe_wire_bytes(probes.PING_BYTES) + probes.REPORT_BYTES) / probes.PING_MOST_S
@@ -69,15 +68,12 @@ def allowed(capacity, *, copies=1):
     return max(probes.SHARE * capacity, copies * (pings + trains) + 0.1 * probes.SHARE * capacity)
 
 
-DOUBTS = st.fixed_dictionaries({"is_urgent": st.booleans()})
-
-
 @examples(60)
-@given(CAPACITIES, st.integers(1, 4), st.floats(0.05, 0.4), DOUBTS)
-def test_a_minute_costs_its_share(capacity, copies, tick_s, doubts):
+@given(CAPACITIES, st.integers(1, 4), st.floats(0.05, 0.4), st.booleans())
+def test_a_minute_costs_its_share(capacity, copies, tick_s, is_urgent):
     """Pings, trains and reports to all peers stay within the share, on any link and at any doubt."""
     probing = Probing(capacity, tick_s=tick_s, copies=copies).known()
-    sent = probing.run(60.0, **doubts)
+    sent = probing.run(60.0, is_urgent=is_urgent)
     # Earlier savings pay for two more trains; trains of small packets cost a little.
     largest = max(cost([each], copies=copies) for each in sent)
     assert cost(sent, copies=copies) <= 1.02 * 60.0 * allowed(capacity, copies=copies) + 2 * largest
@@ -114,8 +110,37 @@ def test_even_the_slowest_link_is_looked_at_now_and_then(mbit, copies):
     assert max(after - before for before, after in pairwise(times)) <= probes.TRAIN_MOST_S + 0.5
 
 
-def test_a_link_that_nobody_uses_is_probed_rarely():
-    """While next to nothing crosses, a measured link costs a small part of its usual probes, but is still looked at."""
-    busy, idle = Probing().known(), Probing().known()
-    assert 0 < cost(idle.run(300.0, is_resting=True)) < 0.15 * cost(busy.run(300.0))
-    assert trains(idle.sent)
+# -- loss
+
+
+def lost_of(course, *, counted, peers):
+    """Return the loss after probes of so many packets, some lost, to peers that counted those of earlier daemons."""
+    loss, receivers = ProbeLoss(), [Receiver(f"peer {i}", 0.0) for i in range(peers)]
+    for receiver in receivers:
+        receiver._received = counted
+    for number, (packets, lost) in enumerate(course, 1):
+        loss.note_sent(ProbeRequest(packets=packets, packet_bytes=16, number=number))
+        for receiver in receivers:
+            for index in range(packets - lost):
+                receiver.on_probe(
+                    train=number, index=index, packets=packets, payload_bytes=16, sent_ns=0, received_ns=0
+                )
+            report = receiver.report(number * 0.1, rx_bytes=0, rx_packets=0)
+            loss.digest(replace(report, probe_packets=report.probe_packets % 2**32))
+    return loss.ratio(len(course) * 0.1)
+
+
+@given(
+    course=st.lists(st.integers(1, 24).flatmap(lambda p: st.tuples(st.just(p), st.integers(0, p))), max_size=100),
+    counted=st.sampled_from([0, 17, 2**32 - 30]),
+    peers=st.integers(1, 3),
+)
+def test_what_is_lost_is_counted_to_the_packet(course, counted, peers):
+    """The ratio is exact over the probes between the first and the last that arrived; counts may wrap."""
+    course = [(1, 0), *course, (1, 0)]  # a ping before and after: the second settles everything
+    ratio = lost_of(course, counted=counted, peers=peers)
+    sent, lost = (sum(column) for column in zip(*course[:-1], strict=True))
+    if sent * peers < 20:
+        assert ratio is None
+    else:
+        assert ratio == pytest.approx(lost / sent)

@@ -1,19 +1,10 @@
-"""Receiver of probes at the peer: the dispersion of trains, and the times of reports."""
+"""Receiver of probes at the peer: the dispersion of trains."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.receiver import (
-    BUSY_S,
-    LONGEST_QUIET_S,
-    PROMPT_S,
-    WORTH_BYTES,
-    Arrival,
-    Receiver,
-    ReportSchedule,
-    measure_train,
-)
+from arpd.estimate.receiver import Arrival, Receiver, measure_train
 from arpd.model.wire import probe_wire_bytes
 
 SIZE = 1200
@@ -23,9 +14,9 @@ SPACING_NS = round(WIRE / RATE * 1e9)
 OFFSET_NS = -7 * 10**15  # the two clocks never agreed
 
 
-def arrivals(received_ns, *, sent_every_ns=100_000):
+def arrivals(received_ns, *, sent_every_ns, wire_bytes=WIRE):
     return [
-        Arrival(wire_bytes=WIRE, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
+        Arrival(wire_bytes=wire_bytes, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
         for i, at in enumerate(received_ns)
     ]
 
@@ -50,11 +41,7 @@ def journeys(draw):
     received = [end if i in (steady, last) else end + draw(late) for i, end in enumerate(ended)]
     for i in reversed(range(last)):
         received[i] = min(received[i : i + 2])  # one thread stamps them, in order
-    train = [
-        Arrival(wire_bytes=wire_bytes, sent_ns=i * sent_every_ns, received_ns=OFFSET_NS + at)
-        for i, at in enumerate(received)
-    ]
-    return train, wire_bytes / spacing_ns * 1e9
+    return arrivals(received, sent_every_ns=sent_every_ns, wire_bytes=wire_bytes), wire_bytes / spacing_ns * 1e9
 
 
 @given(journeys())
@@ -79,7 +66,7 @@ def test_a_train_is_a_part_of_what_was_sent(gaps, sent_every_ns, lost):
         assert 0 < train.duration_s <= (sent[-1].received_ns - sent[0].received_ns) / 1e9
 
 
-def send(receiver, number, packets, *, indices=None, at_ns=0, spacing_ns=SPACING_NS):
+def send(receiver, number, packets, *, indices=None):
     for index in range(packets) if indices is None else indices:
         receiver.on_probe(
             train=number,
@@ -87,7 +74,7 @@ def send(receiver, number, packets, *, indices=None, at_ns=0, spacing_ns=SPACING
             packets=packets,
             payload_bytes=SIZE if packets > 1 else 16,
             sent_ns=index * 100_000,
-            received_ns=OFFSET_NS + at_ns + index * spacing_ns,
+            received_ns=OFFSET_NS + index * SPACING_NS,
         )
 
 
@@ -117,32 +104,3 @@ def test_repeated_packets_do_not_pile_up():
     receiver = Receiver("base", 0.0)
     send(receiver, 1, 10, indices=[0] * 1000)
     assert len(receiver._arrivals) <= 10
-
-
-# -- the schedule
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(0.001, 0.6), st.sampled_from([1, 12, 0]), st.floats(0.0, 3.0)), min_size=1, max_size=60
-    )
-)
-def test_no_report_is_early_or_late(events):
-    """At any arrivals, pauses between reports stay within their bounds, and no ping waits longer than allowed."""
-    schedule = ReportSchedule(0.0)
-    now_s, last_s = 0.0, 0.0
-    for pause_s, packets, quiet_s in events:
-        now_s += pause_s
-        while schedule.due_s <= now_s:  # sends exactly when due
-            assert PROMPT_S - 1e-9 <= schedule.due_s - last_s <= LONGEST_QUIET_S + 1e-9
-            last_s = schedule.due_s
-            schedule.note_sent(last_s)
-        if packets:
-            schedule.note_probe(packets=packets, quiet_s=quiet_s)
-        else:
-            schedule.note_traffic(WORTH_BYTES)
-        most_s = {1: PROMPT_S, 12: BUSY_S, 0: schedule.look_s - last_s}[packets]
-        assert schedule.due_s - last_s <= most_s + 1e-9
-        if schedule.due_s <= now_s:
-            last_s = now_s
-            schedule.note_sent(now_s)

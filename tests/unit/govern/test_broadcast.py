@@ -17,15 +17,11 @@ def sent(prices):
     return [tick for tick, price in enumerate(prices) if broadcast.is_due(price, 100.0 + 0.1 * tick)]
 
 
-def test_a_price_that_stays_is_repeated_once_a_second():
-    """The message is best effort, and a sign that the daemon lives."""
-    assert sent([PRICE] * 25) == [0, 10, 20]
-
-
 @pytest.mark.parametrize(("factor", "is_news"), [(1.005, False), (0.995, False), (1.02, True), (0.98, True), (0, True)])
 def test_a_change_goes_out_at_once(factor, is_news):
-    """A change of more than one per cent does not wait."""
+    """A change of more than one per cent does not wait; what stays is repeated once a second, a sign of life."""
     assert sent([PRICE, PRICE, replace(PRICE, share_per_weight=0.1 * factor)]) == [0, *[2] * is_news]
+    assert sent([PRICE] * 25) == [0, 10, 20]
 
 
 def test_a_slow_link_is_not_filled_with_prices():

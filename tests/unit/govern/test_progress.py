@@ -10,28 +10,21 @@ from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import QosPlan, TopicPlan
 from tests.sample_publishers import publisher
 
-PUBLISHER = publisher("/n", "/t")
-
-
 ROW = TopicPlan(rate_hz=math.inf, min_rate_hz=1.0, deadline_ns=0, depth=10, weight=2.0)
 PLAN = QosPlan(generation=3, topics={"/a": ROW})
 
 
 def test_a_node_that_forgot_its_plan_is_asked_again():
-    """A publisher that returns with the planned QoS, but without a plan, lacks its terms."""
+    """A publisher with the planned QoS that shows no plan, or another lease, lacks it; told times have six digits."""
     assert progress([publisher("/n", "/a", generation=0)], PLAN).missing == {"/n"}
     assert not progress([publisher("/n", "/a", generation=3)], PLAN).missing
-
-
-def test_a_lease_is_a_part_of_the_plan():
-    """A node that shows another lease lacks the plan; told times have six digits."""
     leased = publisher("/n", "/a", generation=3, lease_s=33.3333)
     assert progress([leased], PLAN, lease_s=0.0).missing == {"/n"}
     assert not progress([leased], PLAN, lease_s=100 / 3).missing
 
 
 TARGET = TopicPlan(rate_hz=12.3456789, min_rate_hz=1.0, deadline_ns=5, depth=3)
-SHOWN = replace(PUBLISHER, rate_hz=12.3457, depth=3, deadline_ns=5)  # told rates have six digits
+SHOWN = publisher("/n", "/t", rate_hz=12.3457, depth=3, deadline_ns=5)  # told rates have six digits
 
 
 @pytest.mark.parametrize(

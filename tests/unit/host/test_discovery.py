@@ -75,7 +75,6 @@ def test_transports_are_those_of_the_locators_for_discovery(kinds):
         (("/usr/bin/python3", "/opt/ros/jazzy/lib/x/listener.py", "-r"), "listener.py", False),
         (("/usr/lib/arpd/env/bin/python", "/usr/lib/arpd/env/bin/arpd", "run"), "arpd", True),
         (("python3", "-u", "-m", "arpd.cli", "peer"), "arpd.cli", True),
-        (("/usr/bin/python3", "/home/u/ws/install/arpd/lib/arpd/relay", "--far"), "relay", True),
         (("python3", f"/home/u/{'workspace/' * 9}install/arpd/lib/arpd/relay"), "relay", True),
         (("/usr/bin/python3", "/home/arpd/relay"), "relay", False),
         (("python3",), "python3", False),

@@ -6,25 +6,12 @@ import pytest
 
 from arpd.host.kernel import counters, interface_to, is_own_address, route_mtu
 
-SNMP = """\
-Ip: Forwarding DefaultTTL ReasmTimeout ReasmReqds ReasmOKs ReasmFails
-Ip: 1 64 3 100 20 4
-Udp: InDatagrams NoPorts InErrors OutDatagrams RcvbufErrors
-Udp: 1000 1 7 2000 7
-UdpLite: InDatagrams RcvbufErrors
-UdpLite: 9 9
-"""
+SNMP = "Udp: InDatagrams RcvbufErrors\nUdp: 1000 7\nUdpLite: InDatagrams RcvbufErrors\nUdpLite: 9 9\n"
 
 
 @pytest.mark.parametrize(
     ("snmp", "found"),
-    [
-        (SNMP, {"InDatagrams": 1000, "NoPorts": 1, "InErrors": 7, "OutDatagrams": 2000, "RcvbufErrors": 7}),
-        ("", {}),
-        ("Udp: InDatagrams\n", {}),
-        ("Udp: InDatagrams\nUdp: many\n", {}),
-        ("Udp: A B\nUdp: 1\n", {}),
-    ],
+    [(SNMP, {"InDatagrams": 1000, "RcvbufErrors": 7}), ("", {}), ("Udp: InDatagrams\nUdp: many\n", {})],
 )
 def test_counters_of_a_protocol_are_read_or_not_known(tmp_path, snmp, found):
     """UdpLite's are not UDP's; neither a missing file nor an odd one raises."""

@@ -21,11 +21,11 @@ def message(kind, body):
     return struct.pack("=IHHII", 16 + len(body), kind, 2, 1, 0) + body
 
 
-def qdisc(index, *, parent=ROOT, name=b"fq_codel\0", packets=3, waiting=4242, dropped=17, stats=True):
+def qdisc(index, *, parent=ROOT, waiting=4242, stats=True):
     """Return a message about one queue."""
-    body = struct.pack("=BxxxiIII", 0, index, 0x80010000, parent, 2) + attribute(KIND, name)
+    body = struct.pack("=BxxxiIII", 0, index, 0x80010000, parent, 2) + attribute(KIND, b"fq_codel\0")
     if stats:
-        queue = attribute(STATS_QUEUE, struct.pack("=IIIII", packets, waiting, dropped, 0, 0))
+        queue = attribute(STATS_QUEUE, struct.pack("=IIIII", 3, waiting, 17, 0, 0))
         body += attribute(STATS2 | NESTED, attribute(STATS_BASIC, bytes(16)) + queue)
     return message(NEWQDISC, body)
 

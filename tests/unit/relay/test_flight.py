@@ -32,23 +32,6 @@ class Ends:
         self.flight.confirm(self.received.take(there_s), self.now_s)
 
 
-STEPS = st.tuples(st.floats(0.0, 0.1), st.booleans(), st.integers(60, 16_000), st.integers(0, 10))
-
-
-@given(st.sampled_from([None, 1e5, 2.5e6]), st.lists(STEPS, min_size=1, max_size=60))
-def test_no_more_is_unconfirmed_than_the_window_and_a_chunk(capacity, steps):
-    """Whatever is sent and confirmed when: large chunks stay within a window, small messages within three."""
-    ends = Ends()
-    ends.flight.capacity = capacity
-    for wait_s, is_small, size, arriving in steps:
-        ends.now_s += wait_s
-        ends.confirm(arriving)
-        while ends.flight.has_room(is_small=is_small):
-            ends.send(size)
-            most = (3.0 if is_small else 1.0) * ends.flight.window_bytes + size
-            assert sum(size for _, size, _ in ends.on_way) <= most
-
-
 def test_no_more_is_on_its_way_than_a_quarter_of_a_second_of_the_capacity():
     """However fast a burst seems to arrive, the capacity that the daemon tells bounds what follows."""
     assert 60 < most_on_its_way(is_lossy=False) < most_on_its_way(is_lossy=True) <= 250
@@ -138,16 +121,11 @@ NUMBERS = st.integers(0, WRAP - 1)
 SIGNS = st.builds(Sign, NUMBERS, NUMBERS, NUMBERS, st.builds(Receipt, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS))
 
 
-@given(SIGNS)
-def test_a_sign_arrives_as_it_was_sent(sign):
-    """Session, probe and receipt survive up to their last values."""
-    assert decode_sign(encode_sign(sign)) == sign
-
-
 @given(SIGNS, st.integers(0, 255), st.binary(max_size=60))
-def test_another_version_or_length_is_refused(sign, version, other):
-    """An end of another version is understood by none, instead of misunderstood."""
+def test_a_sign_arrives_as_it_was_sent_or_is_refused(sign, version, other):
+    """Every field survives up to its last value; an end of another version is not misunderstood."""
     good = encode_sign(sign)
+    assert decode_sign(good) == sign
     for data in (bytes([version]) + good[1:], other, good[:-1], good + other):
         if data[:1] != good[:1] or len(data) != len(good):
             with pytest.raises(ValueError, match="version"):

@@ -301,15 +301,11 @@ def test_small_messages_that_come_together_leave_in_one_packet():
     assert loads(link) == ([], 1)
     link.now_s = link.queue.due_s(link.now_s)
     assert loads(link) == (["bc"], 0)
-
-
-def test_no_more_leaves_together_than_one_packet_holds():
-    """What finds no room leaves in the next packet, at once."""
-    link = Link()
+    link.now_s += 1.0
+    link.confirm_all()
     for name in "abc":
-        link.lane(name, has_company=True)
         link.offer(name, name.encode() * 500)
-    assert loads(link) == (["ab", "c"], 0)
+    assert loads(link) == (["ab", "c"], 0), "what finds no room leaves in the next packet, at once"
 
 
 def test_a_topic_quicker_than_packets_leave_does_not_wait():

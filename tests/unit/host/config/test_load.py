@@ -14,7 +14,7 @@ from arpd.model.errors import ConfigError
 from arpd.model.settings import Policy, Preferences, Settings
 
 SHIPPED = Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml"
-AT_START = ("link.interface", "http.", "relay.")  # keys that are read at start only; `test_reload` tries each
+AT_START = ("link.interface", "http.", "relay.")  # keys that are read at start only; `test_reload` tries one of each
 FAULT = re.compile(
     r"(?P<file>.+?):(?P<line>[1-9]\d*):(?P<column>[1-9]\d*): (?P<key>[^ ].*?): (?P<wrong>.+); (?P<right>.+)"
 )
@@ -170,26 +170,21 @@ ONE_FAULT = [
     ("http:\n  port: many\n", "2:9: http.port", "many does not fit; it should be a valid integer"),
     ("http: {port: " + "9" * 5000 + "}", "1:14: http.port", "as an integer"),
     ("link: {headroom: 1.5}", "1:18: link.headroom", "1.5 does not fit; it should be less than or equal to 1"),
-    ("http: {port: -1}", "1:14: http.port", "-1 does not fit; it should be greater than or equal to 0"),
     ("governor: {hold: 2}", "1:18: governor.hold", "'2' has no unit"),
     ("governor: {hold: 2h}", "1:18: governor.hold", "2h is out of range; write 0s..1h"),
     ("link: {capacity: }", "1:17: link.capacity", "has no value; write one, or leave the key out"),
-    ("on_stop:", "1:9: on_stop", "has no value"),
     ("link: {capacity: 5parsec}", "1:18: link.capacity", "'parsec' is not a unit"),
     ("on_stop: explode", "1:10: on_stop", "explode does not fit; it should be 'restore' or 'keep'"),
     ('on_stop: "\\uD800"', "1:10: on_stop", "\\ud800 does not fit; it should be a valid string"),
     ("link:\n  interface: wlan9\n", "2:14: link.interface", "write auto or one of eth0, lo, wlan0"),
     ("link: {interface: ../lo}", "1:19: link.interface", "../lo does not fit"),
-    ('http: {web_config: "a\\nb"}', "1:20: http.web_config", "does not fit"),
     # keys
     ("link:\n  headrom: 0.9\n", "2:3: link.headrom", "did you mean headroom?"),
     ("port: 80\n", "1:1: port", "did you mean http.port?"),
-    ("defaults: {payload: 1kB}", "1:12: defaults.payload", "did you mean topics.payload?"),
     ("governor: {deadband: 0.1}", "1:12: governor.deadband", "unknown key; known here: hold, dwell, debounce"),
     ("http: {1: 2}", "1:8: http.1", "unknown key"),
     ("http: {[a]: 2}", "1:8: yaml", "a key cannot be a list"),
     ("http:\n", "1:6: http", "is not a mapping; give it keys (host, port, web_config)"),
-    ("http: [1]", "1:7: http", "is not a mapping"),
     ("on_stop: keep\nlink: {}\non_stop: keep\n", "3:1: on_stop", "already given on line 1"),
     # topics
     ("topics:\n  - name: /a\n  - name: /b\n  - name: /a\n", "4:11: topics[2].name", "already given on line 2"),
@@ -200,7 +195,6 @@ ONE_FAULT = [
         "4:20: topics[0].min_rate_hz",
         "min_rate_hz 50 is above max_rate_hz 20; lower min_rate_hz or raise max_rate_hz",
     ),
-    ("defaults: {min_depth: 9, max_depth: 3}", "1:23: defaults.min_depth", "min_depth 9 is above max_depth 3"),
     ("topics: [{name: /a/**, payload: 1kB}]", "1:33: topics[0].payload", "belongs to one topic; name it without stars"),
     # the relay
     ("relay: {prefix: /arpd}", "1:17: relay.prefix", "holds arpd's own topics; write one such as /robot1"),
@@ -218,8 +212,6 @@ ONE_FAULT = [
     ("relay: {link_domain: 77, robot: 239.0.0.1}", "1:33: relay.robot", "'239.0.0.1' is not an address"),
     ("relay: {link_domain: 77, robot: 255.255.255.255}", "1:33: relay.robot", "'255.255.255.255' is not an address"),
     ("relay: {link_domain: 77, base: fd00::1}", "1:32: relay.base", "no IPv4 address, and arpd's link is IPv4"),
-    (ENDS + "namespace: r1}", "1:47: relay.namespace", "write /r1"),
-    (ENDS + "namespace: /arpd}", "1:47: relay.namespace", "holds arpd's own topics"),
     (ENDS + "namespace: /_r1}", "1:47: relay.namespace", "never crosses the link"),
     (ENDS + "deny: /x}", "1:42: relay.deny", "is not a list"),
     (ENDS + "to_base: [/a, /b**]}", "1:50: relay.to_base[1]", "'/b**' is not an absolute ROS name or a pattern"),
