@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST = 10.0
+_DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long, and enough for so long before, costs no small sample
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
 _NO_PLAN = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill 0..1 evenly and repeat nothing
@@ -120,6 +121,7 @@ class Lane:
         self._cap, self._allowed = _Bucket(), _Bucket()
         self._is_thinned = False
         self._thinned = 0
+        self._short_s = self._dip_s = -math.inf  # when its rate was too little last, and since when
         self._begun_s = 0.0
         self._floor_s = math.inf
         self._has_floor_turn = False
@@ -195,6 +197,7 @@ class Lane:
         source: Hashable = None,
         expires_s: float = math.inf,
         is_held_up: bool = False,
+        is_out: bool = False,
     ) -> None:
         """Take a message.
 
@@ -203,14 +206,14 @@ class Lane:
         source : its writer
         expires_s : when nobody wants it any more (s)
         is_held_up : whether the link takes nothing now, so that no rate is the cause of what is withheld
+        is_out : whether that has lasted so long that the newest of a source is all that is wanted
         """
         self._note(message, now_s)
         line = self._lines.setdefault(None if self._is_ordered else source, deque())
         line.append(_Waiting(source, message, expires_s))
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
-        if most == 1 and not is_held_up and all(len(each.message) <= SMALL_BYTES for each in line):
-            # Within its rate a sample waits for no more than the thread that writes it.
-            most = max(1, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
+        if most == 1 and not is_out and all(len(each.message) <= SMALL_BYTES for each in line):
+            most = self._most_small(len(line), now_s)
         while len(line) > most:
             line.popleft()
             self._is_thinned = True
@@ -273,7 +276,11 @@ class Lane:
         self.sent_rate.count(now_s)
 
     def give_up_old(self) -> None:
-        """Give up the message under way if a newer one of its source waits: an outage has made it old."""
+        """Give up what has become old in an outage: all but the newest of a source."""
+        for line in self._lines.values() if not self._is_ordered and not self.is_kept and self._depth == 1 else ():
+            while len(line) > 1:
+                line.popleft()
+                self.withheld[WithheldCause.BLOCKED.value] += 1
         if self.current is not None and not self.is_kept and self.current.source in self._lines:
             self.withheld[WithheldCause.BLOCKED.value] += 1
             self.current = None
@@ -312,6 +319,21 @@ class Lane:
             self.payload_bytes += 0.1 * (len(message) - self.payload_bytes)
         else:
             self._first_s, self.payload_bytes = now_s, float(len(message))
+
+    def _most_small(self, waiting: int, now_s: float) -> int:
+        """Return how many small samples of a source may wait.
+
+        Within its rate a sample waits for no more than the thread that writes it and the link's next room; and in a dip
+        of the rate, as after a fall of the link, until it is over.
+        """
+        most = max(1, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
+        if waiting > most:
+            if now_s - self._short_s > _CALM_S:
+                self._dip_s = now_s
+            self._short_s = now_s
+            if now_s - self._dip_s < _DIP_S:
+                most = max(most, int(self._cap.credit(now_s)))
+        return most
 
     @property
     def _next(self) -> tuple[Hashable, deque[_Waiting]]:

@@ -94,7 +94,8 @@ class PacedQueue:
         self, lane: Lane, message: bytes, now_s: float, *, source: Hashable = None, expires_s: float = math.inf
     ) -> None:
         """Let a message wait for its turn; `Lane.offer` explains the arguments."""
-        lane.offer(message, now_s, source=source, expires_s=expires_s, is_held_up=not self._is_open(now_s))
+        is_held_up, is_out = not self._is_open(now_s), self._is_out(now_s)
+        lane.offer(message, now_s, source=source, expires_s=expires_s, is_held_up=is_held_up, is_out=is_out)
         if lane not in self._active:
             self._active[lane] = None
             lane.start = max(lane.start, self._virtual)
@@ -152,6 +153,10 @@ class PacedQueue:
     def is_waiting(self) -> bool:
         """Whether anything waits."""
         return bool(self._active)
+
+    def _is_out(self, now_s: float) -> bool:  # noqa: ARG002 - the relay's queue needs it
+        """Return whether the link has taken nothing for long."""
+        return False
 
     def _is_open(self, now_s: float) -> bool:  # noqa: ARG002 - the relay's queue needs it
         """Return whether the link takes a small message."""

@@ -171,7 +171,7 @@ class LinkQueue(PacedQueue):
 
     def take(self, now_s: float) -> Ready | None:
         """Return what leaves now; it then counts as sent."""
-        if self.flight.is_out(now_s):
+        if self._is_out(now_s):
             self._was_out = True
         elif self._was_out and self._is_open(now_s):
             self._was_out = False
@@ -189,7 +189,10 @@ class LinkQueue(PacedQueue):
         return min([super().due_s(now_s), *expected])
 
     def _is_open(self, now_s: float) -> bool:
-        return self.flight.has_room(is_small=True) and not self.flight.is_out(now_s)
+        return self.flight.has_room(is_small=True) and not self._is_out(now_s)
+
+    def _is_out(self, now_s: float) -> bool:
+        return self.flight.is_out(now_s)
 
     def _has_room(self) -> bool:
         return self.flight.has_room(is_small=False)

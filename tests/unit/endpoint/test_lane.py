@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.meters import SampleRate
 from arpd.model.plan import TopicPlan
+from arpd.model.price import Price
 
 LARGE = bytes(SMALL_BYTES)  # after the number in front of it
 
@@ -98,6 +99,25 @@ def test_of_a_source_that_alternates_both_kinds_are_heard():
     kinds = Counter(number % 2 for _, _, number in play(make(5.0), every(10.0, "gps")))
     assert kinds.total() == pytest.approx(100, abs=4)
     assert min(kinds[0], kinds[1]) >= 30
+
+
+def test_a_dip_of_the_rate_costs_no_small_sample():
+    """What comes in a fifth of a second of too low a rate waits and leaves later; where that lasts, the newest does."""
+    plan = TopicPlan(rate_hz=100.0, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=500.0, packets=1)
+    low = Price(share_per_weight=0.0025, capacity_bytes_per_second=1e6)
+    assert low.rate_hz(plan) == 5.0
+    lane = make()
+    lane.retune(plan, None)
+    for number in range(100):
+        lane.offer(b"%4d" % number, 0.01 * number)
+        leave(lane, 0.01 * number)
+    lane.retune(plan, low)
+    for number in range(100, 120):
+        lane.offer(b"%4d" % number, 0.01 * number)
+    assert (len(lane), lane.withheld.total()) == (20, 0)
+    for number in range(120, 150):
+        lane.offer(b"%4d" % number, 0.01 * number)
+    assert [number for _, number in leave_all(lane)] == [148, 149]  # of which its rate has the credit
 
 
 def test_what_has_expired_does_not_leave():

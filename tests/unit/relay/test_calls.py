@@ -128,7 +128,7 @@ def leaving(records):
     """Return the kinds of the records that leave after an outage."""
     lane = Lane(lambda _sample: None, is_kept=True)
     for source, data in records:
-        lane.offer(data, 0.0, source=source, expires_s=math.inf, is_held_up=True)
+        lane.offer(data, 0.0, source=source, expires_s=math.inf, is_held_up=True, is_out=True)
     kinds = []
     while (current := lane.begin(1.0)) is not None:
         kinds.append(Record.decode(current.message).kind)

@@ -254,6 +254,21 @@ def test_after_a_fall_the_queue_on_the_link_is_short_before_a_daemon_knows():
     assert min(waits_s) < 0.1 < max(waits_s)
 
 
+def test_of_what_waited_when_an_outage_began_the_newest_leaves():
+    """Samples that came before anybody could know that the link was out are old when it returns."""
+    link = Link()
+    tf = link.lane("tf")
+    while link.flight.has_room(is_small=True):
+        link.flight.send(1000, link.now_s)
+    for number in range(6):
+        link.offer("tf", bytes(number), source=number % 2)
+    link.now_s += 0.5
+    assert link.take() is None
+    link.confirm_all()
+    assert [link.take(), link.take(), link.take()] == [(tf, 0, 4), (tf, 0, 5), None]
+    assert tf.withheld == {"blocked": 4}
+
+
 def test_after_an_outage_the_newest_of_each_source_leaves_once():
     """While receipts are missing nothing leaves; when one comes, two sources have a sample each, the newest."""
     link = Link()
