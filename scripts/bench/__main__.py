@@ -22,18 +22,13 @@ from typing import Any
 
 from scripts.bench.harness import conditions, watched
 from scripts.bench.report import RESULTS, Summary, targets, write_pages
-from scripts.bench.robots import CELL, summary_of
+from scripts.bench.robots import CELL, USUAL_CELLS, summary_of
 from scripts.bench.world import TREE
 
 #: By name: module and function that return the summary, about how many minutes it takes, and those of the quick form.
 SCENARIOS = {
     "demo": ("demo.play", 1.5, 1.5, "does the demo show what arpd is for?"),
-    "robots": (
-        "robots.play",
-        46,
-        1.5,
-        "how do robots on links that change fare with arpd, and with what else there is?",
-    ),
+    "robots": ("robots.play", 46, 1.5, "how do robots on changing links fare with arpd, and with what else there is?"),
     "paper": ("paper.play", 6, 1.5, "does the paper's optimum hold with real ROS 2?"),
     "swap": ("swap.play", 5, 1.5, "what does a change of QoS lose?"),
     "faults": ("faults.play", 6, 2.5, "what is lost when processes and links fail, and how soon does it flow again?"),
@@ -57,11 +52,14 @@ FULL_ROUNDS = 3
 
 
 def is_known(name: str) -> bool:
-    """Return whether a benchmark has measured this tree; without git nobody knows which one it is."""
+    """Return whether a benchmark has measured this tree, all of it; without git nobody knows which one it is."""
     path, now = RESULTS / f"{name}.json", conditions()
-    kept = Summary.read(path).conditions if path.exists() else []
-    return bool(kept and now["tree"]) and not any(
-        each["is_modified"] or each.get("tree") != now["tree"] for each in (now, *kept)
+    if not (path.exists() and now["tree"]):
+        return False
+    kept = Summary.read(path)
+    played = {tuple(row[: len(CELL)]) for row in kept.rounds.rows} if kept.rounds else set()
+    return (name not in PARTS or played >= {*USUAL_CELLS}) and not any(
+        each["is_modified"] or each.get("tree") != now["tree"] for each in (now, *kept.conditions)
     )
 
 

@@ -26,7 +26,7 @@ READERS = {
     "price": ("ros.test_inbox", "test_any_bytes_are_refused_or_read"),
     "chunk": ("relay.test_envelope", "test_any_bytes_are_a_chunk_or_refused"),
     "call": ("relay.test_calls", "test_random_bytes_raise_nothing_else"),
-    "sign": ("relay.test_flight", "test_another_version_or_length_is_refused"),
+    "sign": ("relay.test_flight", "test_a_sign_arrives_as_it_was_sent_or_is_refused"),
     "discovery": ("host.test_discovery", "test_no_packet_raises"),
 }
 _SECONDS, _QUICK_S = 15.0, 2.0

@@ -149,6 +149,8 @@ class Talker:
             source.number += ticks
             due_s += (ticks - 1) * period_s
             heapq.heappush(self._due, (due_s + period_s, number))
+            if not source.topic.passes(source.number):
+                continue
             if due_s >= self._from_s:
                 source.first = source.number if source.first is None else source.first
                 source.published += 1

@@ -123,7 +123,7 @@ class Summary:
         made : makes a summary of rounds
         names : so many cells of a round name it
         """
-        if not self.rounds or not part.rounds:
+        if not self.rounds or not part.rounds or self.rounds.columns != part.rounds.columns:
             return part
         again = {tuple(row[:names]) for row in part.rounds.rows}
         rows = [row for row in self.rounds.rows if tuple(row[:names]) not in again] + part.rounds.rows
@@ -132,8 +132,7 @@ class Summary:
         def last_of(row: str) -> int:
             return max(at for at, each in enumerate(noted) if re.search(each.get("of", ""), row))
 
-        drawn = part.drawn if part.drawn and part.drawn.rows else self.drawn
-        whole = made(replace(part.rounds, rows=rows), drawn=drawn)
+        whole = made(replace(part.rounds, rows=rows), drawn=_joined(self.drawn, part.drawn))
         whole.conditions = [noted[at] for at in sorted({last_of(" ".join(row[:names])) for row in rows})]
         return whole
 
@@ -148,6 +147,14 @@ class Summary:
             else:
                 parts += [f"{table.title}:" if table.title else "", rows]
         return "\n\n".join(filter(None, parts))
+
+
+def _joined(old: Table | None, new: Table | None) -> Table | None:
+    """Return what two pictures show, as one, with the newer of two curves of one name."""
+    drawn = [each for each in (old, new) if each and each.rows]
+    curves = {name: values for each in drawn for name, *values in zip(each.columns, *each.rows, strict=True)}
+    rows = list(map(list, zip(*curves.values(), strict=False)))
+    return replace(drawn[-1], columns=list(curves), rows=rows) if drawn else None
 
 
 def targets(known: Mapping[str, Summary]) -> str:
@@ -267,7 +274,7 @@ _RIVALS = {
 }
 
 
-def _rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> str:
+def rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> str:
     """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
     rows = [dict(zip(rounds.columns, row, strict=True)) for row in rounds.rows if row[:2] == [robot, link]]
     heads = {
@@ -282,7 +289,7 @@ def _rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> s
             [row[column] for row in rows if row["side"] == side and row["bottleneck"] == bottleneck]
             for bottleneck in ("sender", "middle")
         )
-        return " / ".join(shown(float(median(values))) for values in found if values)
+        return " / ".join("never" if None in each else shown(float(median(each))) for each in found if each)
 
     return _markdown(
         ["", *heads], [[said, *(both(side, column) for column in heads.values())] for side, said in _RIVALS.items()]
@@ -294,7 +301,7 @@ def write_pages() -> None:
     known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
     blocks = {name: summary.markdown() for name, summary in known.items()} | {"targets": targets(known)}
     if (robots := known.get("robots")) and robots.rounds:
-        blocks["rivals"] = _rivals(robots.rounds)
+        blocks["rivals"] = rivals(robots.rounds)
     for name, each in known.items():
         draw(RESULTS / f"{name}.png", each.drawn)
     for path in (REPO / "docs/results.md", REPO / "README.md"):

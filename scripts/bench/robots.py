@@ -13,7 +13,8 @@ import re
 import sys
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import compress, product
+from operator import not_
 from statistics import median
 from typing import Any, get_args
 
@@ -143,7 +144,7 @@ ROBOTS = {
 WAYS = {
     "plain": "rclpy's defaults",
     "large_data": "the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
-    "large_data_bbr": "the same with TCP's congestion control BBR; everybody else has cubic, as Debian and Ubuntu",
+    "large_data_bbr": "the same with TCP's congestion control BBR instead of cubic, which Debian and Ubuntu have",
     "profile": "rclpy's defaults, no IP fragments, and a heartbeat every 50 ms (arpd's Fast DDS profile)",
     "throttle": "rclpy's defaults, topics throttled to what `arpd solve` gives for the link's slowest tenth",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
@@ -164,6 +165,7 @@ _USUAL: tuple[tuple[str, str, Bottleneck], ...] = (
     ("demo", "wifi-walk", "middle"),
 )
 _USUAL_SIDES = ("plain", "large_data", "large_data_bbr", "zenoh_first", "two_ends")
+USUAL_CELLS = tuple((*place, side) for place in _USUAL for side in _USUAL_SIDES)
 ROUNDS = 3
 #: What arpd should reach of the worst round of a rival: its share, what is added to that, and whether it is the least.
 _AIMS: dict[str, tuple[float, float, bool]] = {
@@ -195,9 +197,7 @@ def throttled(robot: Robot, course: Course) -> Robot:
     rows = rows_of_traffic(tuple(named.values()), settings)
     answer = program.solve(program.on_link(slowest, rows), settings.program.memory_budget_bytes)
     shares = {each.name: each.rate_hz / named[each.name].source_rate_hz for each in answer.topics}
-    return replace(
-        robot, topics=tuple(replace(each, rate_hz=each.rate_hz * min(1.0, shares[each.name])) for each in robot.topics)
-    )
+    return replace(robot, topics=tuple(replace(each, share=min(1.0, shares[each.name])) for each in robot.topics))
 
 
 def measured(
@@ -228,7 +228,7 @@ def measured(
         "whole sets/s": account.sets_per_second() if about.groups else None,
         "Mbit/s": spent["to_base_mbit"],
         **account.faults(),
-        "never matched": len(spent["unmatched"]),
+        "never matched": len({*spent["unmatched"]} - {"the service"}),  # of which no figure tells
     }
     return row, account
 
@@ -239,10 +239,8 @@ def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
     With ``rounds`` 1 it plays the usual ones, three times; with more, all there are. ``only`` picks those in which this
     regular expression is found: robot, link, bottleneck and side.
     """
-    usual = [(*place, side) for place in _USUAL for side in _USUAL_SIDES]
-    every = list(product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS))
-    cells = usual if rounds == 1 and not only else every
-    cells = [cell for cell in cells if re.search(only, " ".join(cell))]
+    every = product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS)
+    cells = [cell for cell in (USUAL_CELLS if rounds == 1 and not only else every) if re.search(only, " ".join(cell))]
     found, ages_s = [], {}
     if is_quick:
         cells = [("tb4", "fall-and-rise", "middle", "two_ends")]
@@ -289,7 +287,7 @@ def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
     return Summary(
         about="Medians, and the range of the rounds. Small: samples up to ten packets. Age: of the newest sample. "
         f"Targets: no worse than the worst round of the best rival that was played {ROUNDS} times, but for 10 ms of "
-        "commands and a tenth of the large samples.",
+        "commands and a tenth of the large samples; rounds in which a rival's topics never matched set none.",
         figures=figures,
         tables=[table("", lines), table("", [{"side": side, "what": what} for side, what in WAYS.items()])],
         rounds=rounds,
@@ -299,11 +297,15 @@ def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
 
 def _aims(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> list[Figure]:
     """Return arpd's figures, each beside that of the rival that is the hardest to beat."""
-    rivals = {side: columns for side, columns in sides.items() if side in _RIVALS and len(columns["small %"]) >= ROUNDS}
+    rivals = {
+        side: {key: list(compress(values, map(not_, columns["never matched"]))) for key, values in columns.items()}
+        for side, columns in sides.items()
+        if side in _RIVALS and len(columns["small %"]) >= ROUNDS
+    }
     found = []
     for key, (share, more, is_least) in _AIMS.items() if "two_ends" in sides else ():
         known = {side: columns[key] for side, columns in rivals.items() if None not in columns.get(key, [None])}
-        limits = {side: share * (min if is_least else max)(values) + more for side, values in known.items()}
+        limits = {side: share * (min if is_least else max)(each) + more for side, each in known.items() if each}
         if limits:
             side = (max if is_least else min)(limits, key=lambda name: limits[name])
             ours = sides["two_ends"][key]

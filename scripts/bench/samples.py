@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import struct
 import time
 from array import array
@@ -50,6 +51,7 @@ class Topic:
     depth, deadline_hz : QoS of its writers (samples; Hz, 0 = none)
     is_kept : nobody may thin it: its queues are deep, and its least rate is above its own
     answers : number of sources whose samples its process sends back, the sample n of the source n modulo their number
+    share : of its samples that a throttle lets pass
     """
 
     name: str
@@ -63,6 +65,11 @@ class Topic:
     deadline_hz: float = 0.0
     is_kept: bool = False
     answers: int = 0
+    share: float = 1.0
+
+    def passes(self, number: int) -> bool:
+        """Return whether the throttle lets the sample of this number pass."""
+        return math.floor(number * self.share) > math.floor((number - 1) * self.share)
 
     @property
     def group(self) -> str:

@@ -67,7 +67,7 @@ def measured(trace: LinkTrace, side: str) -> dict[str, Any]:
     return {
         "link": trace.name,
         "side": side,
-        "delivered %": 100.0 * found.goodput_bytes_per_second / could if could else None,
+        "delivered %": 100.0 * found.goodput_bytes_per_second / could if could else 0.0,
         "carried %": 100.0 * found.carried_share,
         "queue p95 s": percentile(queues, 0.95),
         "IMU p99 s": imu.latency_p99_s,
@@ -97,7 +97,13 @@ def summary(rows: Sequence[dict[str, Any]]) -> Summary:
         figure("plans, worst", max(row["plans/min"] for row in ours), "/min", most=6.0),
     ]
     medians = [
-        {"side": side} | {key: median(row[key] or 0.0 for row in rows if row["side"] == side) for key in _MEDIANS}
+        {
+            "side": side,
+            **{
+                key: median(math.inf if row[key] is None else row[key] for row in rows if row["side"] == side)
+                for key in _MEDIANS
+            },
+        }
         for side in dict.fromkeys(row["side"] for row in rows)
     ]
     dots = [

@@ -1,24 +1,26 @@
 """scripts/bench/report.py: what a summary keeps, and what a page shows first."""
 
-from scripts.bench.report import REPO, RESULTS, Summary, Table, figure, targets
+from scripts.bench.report import REPO, RESULTS, Summary, Table, figure, rivals, targets
 from scripts.bench.robots import CELL, FAULTS, summary_of
 
 
-def of_rounds(rows, *conditions):
+def of_rounds(rows, *conditions, never_matched=(), **drawn):
     """Return a summary of rounds of a robot's sides, in which every figure is the same number."""
     keys = ("small %", "small p99 ms", "large/s")
-    filled = [[*row[:-1], *[row[-1]] * len(keys), *[0] * len(FAULTS)] for row in rows]
-    table = Table(columns=[*CELL, *keys, *FAULTS], rows=filled)
-    made = summary_of(table)
+    filled = [[*row[:-1], *[row[-1]] * len(keys), *[0] * len(FAULTS), int(row in never_matched)] for row in rows]
+    table = Table(columns=[*CELL, *keys, *FAULTS, "never matched"], rows=filled)
+    made = summary_of(table, drawn=Table(title="", columns=["s", *drawn], rows=[[0.0, *drawn.values()]]))
     made.conditions = list(conditions)
     return made
 
 
 def test_a_part_that_is_measured_again_takes_the_place_of_the_first():
-    """So do its conditions, where no round of the first is left."""
+    """So do its conditions, where no round of the first is left, and its curves in the picture, beside the others."""
     plain, arpd, other = (["tb4", "link", "middle", "plain"], ["tb4", "link", "middle", "two_ends"], ["rgbd", *"lms"])
-    kept = of_rounds([[*plain, 1], [*arpd, 1], [*other, 2]], {"of": "tb4 "}, {"of": "rgbd"})
-    again = kept.with_part(of_rounds([[*plain, 3], [*plain, 5], [*arpd, 6]], {"of": "^tb4"}), summary_of, names=4)
+    kept = of_rounds([[*plain, 1], [*arpd, 1], [*other, 2]], {"of": "tb4 "}, {"of": "rgbd"}, plain=1.0, two_ends=2.0)
+    part = of_rounds([[*plain, 3], [*plain, 5], [*arpd, 6]], {"of": "^tb4"}, plain=3.0)
+    again = kept.with_part(part, summary_of, names=4)
+    assert (again.drawn.columns, again.drawn.rows) == (["s", "plain", "two_ends"], [[0.0, 3.0, 2.0]])
     assert [row[:6] for row in again.tables[0].rows] == [
         [*other, 1, "2"],
         [*plain, 2, "4 (3–5)"],
@@ -40,6 +42,29 @@ def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
         ("small p99 ms, beside large_data", 6.0, False),
         ("large/s, beside plain", 6.3, True),
     ]
+
+
+def test_a_round_in_which_a_rivals_topics_never_matched_sets_no_target():
+    """What did not cross says nothing of the way; arpd's own rounds count all the same."""
+    place = ["tb4", "link", "middle"]
+    rounds = [[*place, "plain", value] for value in (8, 9, 0)]
+    lost = [[*place, "two_ends", 3], [*place, "large_data", 1]]
+    found = of_rounds([*rounds, *lost[:1], *lost[1:] * 3], never_matched=[rounds[-1], *lost]).figures
+    assert [(each.what.split(": ")[1], each.target, each.value) for each in found] == [
+        ("small %, beside plain", 8.0, 3.0),
+        ("small p99 ms, beside plain", 9.0, 3.0),
+        ("large/s, beside plain", 7.2, 3.0),
+    ]
+
+
+def test_a_side_of_whose_samples_none_came_in_a_round_is_never_in_the_readmes_table():
+    """A median would hide it; a side that was not played has an empty cell."""
+    columns = ["robot", "link", "bottleneck", "side", "large/s", "small p99 ms", "small %", "commands p99 ms"]
+    place, rounds = ["tb4", "fall-and-rise", "middle"], ([1.0, None, 2.0, 3.0], [3.0, 4.0, 4.0, 5.0])
+    rows = [[*place, "plain", *each] for each in rounds]
+    lines = rivals(Table(columns=columns, rows=rows)).splitlines()
+    assert [line for line in lines if "rclpy" in line] == ["| rclpy's defaults | 2 | never | 3 | 4 |"]
+    assert "| arpd |  |  |  |  |" in lines
 
 
 def test_all_targets_stand_in_one_list_and_nowhere_else():
