@@ -1,5 +1,8 @@
 """Real rclpy for every test: its own context, on this host only, with executors in threads."""
 
+import os
+import subprocess
+import sys
 import threading
 from contextlib import ExitStack
 
@@ -7,7 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from tests.ros.world import Ros, start_arpd
+from tests.ros.ends_world import TwoEnds
+from tests.ros.world import DOMAIN, REPO, Ros, SkippingClock
 
 
 @pytest.fixture
@@ -32,11 +36,29 @@ def ros(environment, stack):
 
 
 @pytest.fixture
+def world(ros, stack, tmp_path):
+    """Make two ends of a relay, with these lines under ``relay:``."""
+    return lambda *relay, **options: TwoEnds(tmp_path, stack, relay, **options)
+
+
+@pytest.fixture
+def clock():
+    return SkippingClock()
+
+
+@pytest.fixture
 def arpd(environment, stack, tmp_path):
-    """Start a command of arpd, which is killed with the test; its log is a file ``log``."""
+    """Start a command of arpd in the tests' domain, which is killed with the test; its log is a file ``log``."""
 
     def start(*arguments, **environment):
-        process = start_arpd(*arguments, log=tmp_path / "log", **environment)
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "arpd.cli", *map(str, arguments)],
+            env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), **environment},
+            stdout=subprocess.PIPE,
+            stderr=(tmp_path / "log").open("w"),
+            text=True,
+            cwd=REPO,
+        )
         stack.callback(process.communicate)
         stack.callback(process.kill)
         return process

@@ -9,18 +9,16 @@ import threading
 import time
 from contextlib import suppress
 from itertools import count
-from pathlib import Path
 
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.envelope import WRAP, Chunk, encode_chunk, wrap
 from arpd.relay.flight import Sign, encode_sign
 from arpd.ros.graph_view import GraphView
-from tests.ros.world import DOMAIN, Ros
+from tests.ros.world import DOMAIN, REPO, Ros
 
-REPO = Path(__file__).resolve().parents[2]
 ROBOT, BASE, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2
 
 
@@ -40,17 +38,9 @@ class TwoEnds:
 
     def start(self, *ends, **environment):
         for end in ends or ("robot", "base"):
-            address = self._listen(end)
+            address, far = self._listen(end), ["--far"] if end == "base" else []
             self.processes[end] = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "arpd.cli",
-                    "relay",
-                    *(["--far"] if end == "base" else []),
-                    "--config",
-                    self.config,
-                ],
+                [sys.executable, "-m", "arpd.cli", "relay", *far, "--config", self.config],
                 cwd=REPO,
                 env={
                     **{key: value for key, value in os.environ.items() if "DEFAULT_PROFILES" not in key},
@@ -124,6 +114,7 @@ class Stranger:
 
 
 RELIABLE = QoSProfile(depth=1000)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 def latched(depth):

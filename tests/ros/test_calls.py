@@ -2,13 +2,8 @@
 
 import signal
 import time
-from contextlib import ExitStack
 
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-pytest.importorskip("test_msgs", reason="test_msgs is not installed")
-
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, ActionServer, CancelResponse
@@ -23,14 +18,7 @@ from test_msgs.srv import BasicTypes
 
 from arpd.relay.calls import Kind, Record
 from arpd.relay.envelope import decode_chunk, wrap
-from tests.ros.ends_world import RELIABLE, Stranger, TwoEnds, listen
-
-
-@pytest.fixture
-def world(ros, tmp_path):
-    """Make a world with these lines under ``relay:``."""
-    with ExitStack() as stack:
-        yield lambda *relay: TwoEnds(tmp_path, stack, relay)
+from tests.ros.ends_world import RELIABLE, Stranger, listen
 
 
 class Doubler:

@@ -1,7 +1,5 @@
 """The daemon's statuses on /diagnostics, as a monitor on another node receives them."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

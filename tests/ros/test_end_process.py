@@ -6,23 +6,16 @@ import pytest
 from std_msgs.msg import String
 from test_msgs.srv import BasicTypes
 
-from tests.ros.ends_world import TwoEnds
-
 PROFILE = """<?xml version="1.0"?>
 <profiles xmlns="http://www.eprosima.com"><participant profile_name="own" is_default_profile="true"/></profiles>
 """
 
 
-@pytest.fixture
-def ends(ros, stack, tmp_path):
-    return TwoEnds(tmp_path, stack, ["services: [/add]"])
-
-
 @pytest.mark.parametrize("variable", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
-def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(ends, tmp_path, variable):
+def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(world, tmp_path, variable):
     """An end that starts with such a profile ends at once, and says what to add or to unset."""
     (tmp_path / "own.xml").write_text(PROFILE)
-    ends.start("robot", **{variable: tmp_path / "own.xml"})
+    ends = world().start("robot", **{variable: tmp_path / "own.xml"})
     assert ends.processes["robot"].wait(60) > 0
     log = (tmp_path / "robot.log").read_text()
     assert "fastdds.ignore_local_endpoints=true" in log
@@ -30,10 +23,10 @@ def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(ends, t
 
 
 def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(
-    ends, tmp_path, background, eventually
+    world, tmp_path, background, eventually
 ):
     """SIGTERM ends both ends with status 0 and no traceback, although calls and samples arrive meanwhile."""
-    ends.start(WATCHDOG_USEC="20000000")
+    ends = world("services: [/add]").start(WATCHDOG_USEC="20000000")
     robot, base = ends.side("robot").node("server"), ends.side("base").node("client")
     robot.create_service(BasicTypes, "/add", lambda _request, response: response)
     talker, heard = robot.create_publisher(String, "/talk", 10), []

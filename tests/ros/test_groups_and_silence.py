@@ -2,10 +2,7 @@
 
 import platform
 import time
-from contextlib import ExitStack
 
-import pytest
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String, UInt8MultiArray
 
@@ -13,17 +10,8 @@ from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
-from tests.ros.ends_world import Counter, TwoEnds, listen
+from tests.ros.ends_world import BEST_EFFORT, Counter, listen
 from tests.ros.world import Plans
-
-BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-
-
-@pytest.fixture
-def world(ros, tmp_path):
-    """Make a world with these lines under ``relay:``."""
-    with ExitStack() as stack:
-        yield lambda *relay: TwoEnds(tmp_path, stack, relay)
 
 
 def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):

@@ -2,20 +2,12 @@
 
 from dataclasses import replace
 
-import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-from rclpy.duration import Duration
-from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.ros.crossing import read_graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.rmw import Rmw, current_rmw
 
-pytestmark = pytest.mark.ros
 OTHER = Rmw(name="rmw_cyclonedds_cpp")
 
 
@@ -30,28 +22,6 @@ def test_an_unmeasured_middleware_is_paced_and_not_swapped(ros, monkeypatch):
     assert state.refusal == OTHER.refusal
     publisher.retune(replace(publisher.plan, depth=10))
     assert not publisher.state().refusal
-
-
-def test_a_real_graph_is_followed(ros, eventually):
-    """Writers and readers that come and go show in a real graph, on a middleware without hosts in its GIDs, too."""
-    view = GraphView.of(ros.node("arpd"))
-
-    def read(rmw=None):
-        view.look()
-        return read_graph(view, rmw or current_rmw())
-
-    def seen(rmw=None):
-        return read(rmw).crossings.get("/x")
-
-    talker = ros.node("talker").create_publisher(String, "/x", 10)
-    eventually("the writer shows", lambda: seen() is not None and seen().writers == {"/talker"})
-    deadline = Duration(seconds=1)
-    ros.node("listener").create_subscription(String, "/x", lambda _m: None, QoSProfile(depth=10, deadline=deadline))
-    eventually("the reader shows", lambda: seen().requested_ns == deadline.nanoseconds)
-    eventually("without hosts it is the same", lambda: seen(OTHER) == seen())
-    assert read().remote_participants == 0
-    talker.destroy()
-    eventually("the writer is gone", lambda: seen().writers == frozenset())
 
 
 def test_a_name_that_is_no_text_hides_no_other(ros, eventually, monkeypatch):

@@ -8,15 +8,10 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.model.endpoints import Overflow
-from tests.ros.world import FREE, TERMS, SkippingClock, costing, retune
+from tests.ros.world import FREE, TERMS, costing, retune
 from tests.waiting import PATIENCE_S
 
 LONG_S = 10.0  # a write of this length is remembered for 200 s
-
-
-@pytest.fixture
-def clock():
-    return SkippingClock()
 
 
 @pytest.fixture

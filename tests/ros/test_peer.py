@@ -4,7 +4,6 @@ import time
 from itertools import count
 
 import pytest
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.host.interface import InterfaceReader
@@ -14,10 +13,10 @@ from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.world import RosControl
+from tests.ros.ends_world import BEST_EFFORT
 from tests.ros.world import DOMAIN, FREE
 
 SIZE = 1200
-BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 class Daemon:
@@ -51,14 +50,12 @@ def daemon(ros, eventually):
 def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually):
     """A train is reported as bytes and packets, and the next report answers a ping; what was lost shows in a count."""
     node, reports = ros.node("prober"), []
-    probes = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, BEST_EFFORT)
-    node.create_subscription(
-        UInt8MultiArray,
-        REPORT_TOPIC,
-        lambda message: reports.append(decode_report(bytes(message.data))),
-        BEST_EFFORT,
-    )
-    numbers = count(1000)
+    probes, numbers = node.create_publisher(UInt8MultiArray, PROBE_TOPIC, BEST_EFFORT), count(1000)
+
+    def hear(message):
+        reports.append(decode_report(bytes(message.data)))
+
+    node.create_subscription(UInt8MultiArray, REPORT_TOPIC, hear, BEST_EFFORT)
 
     def probe(packets):
         number = next(numbers)

@@ -9,7 +9,7 @@ import pytest
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
 from arpd.endpoint.writer_swap import SwapTiming
@@ -17,7 +17,9 @@ from arpd.govern.progress import is_confirmed
 from arpd.model.endpoints import RefusalReason, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
-from tests.ros.world import FREE, TERMS, Announced, Plans, PriceSender, SkippingClock, costing, retune
+from arpd.ros.names import PRICE_TOPIC
+from arpd.ros.price_message import encode_price
+from tests.ros.world import FREE, TERMS, Announced, Plans, costing, retune
 from tests.waiting import PATIENCE_S
 
 TOPIC = "/swapped"
@@ -26,11 +28,6 @@ DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
 LEASE_S = 60.0  # longer than a busy machine stops a process
 # This host loses nothing, so readers match at once. And it waits: no swap goes on without its acknowledgements.
 PATIENT = SwapTiming(settle_s=0.1, hold_s=60.0, patience_s=60.0, match_timeout_s=60.0, drain_s=60.0)
-
-
-@pytest.fixture
-def clock():
-    return SkippingClock()
 
 
 @pytest.fixture
@@ -44,9 +41,16 @@ def publisher(node, clock):
 
 
 @pytest.fixture
-def send_price(ros, publisher):
-    assert publisher  # it listens
-    return PriceSender(ros.node("governor")).until
+def send_price(ros, publisher, eventually):
+    """Send a price again and again, because its topic is best effort, until a condition holds."""
+    sender = ros.node("governor").create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
+    eventually("the publisher listens", sender.get_subscription_count)
+
+    def until(price, what, condition):
+        message = Float64MultiArray(data=encode_price(price))
+        eventually(what, lambda: sender.publish(message) or condition())
+
+    return until
 
 
 def is_paced_at(publisher, rate_hz):
@@ -194,7 +198,7 @@ def test_a_node_that_is_destroyed_leaves_the_others(ros, publisher, background, 
     retune(publisher, depth=30)
     eventually("another node's writer is swapped", lambda: publisher.state().depth == 30)
     watcher = Announced(ros.node("watcher"))
-    eventually("the other node announces", lambda: watcher.shows(depth=30))
+    eventually("the other node announces", lambda: [state.depth for state in watcher.states] == [30])
     assert publisher._thread._thread.is_alive()
 
 

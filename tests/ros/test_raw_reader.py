@@ -64,16 +64,12 @@ def test_it_asks_for_no_more_samples_than_were_announced(connect, thread, eventu
     """Each sample is taken once, and hardly anybody asks for another one only to hear that there is none."""
     taken, asked = [], []
 
-    class Counting:
-        def __getattr__(self, name):
-            return getattr(real, name)
+    def take(*arguments):
+        asked.append(real(*arguments))
+        return asked[-1]
 
-        def take(self, *arguments):
-            asked.append(real.take(*arguments))
-            return asked[-1]
-
-    real = thread._rcl
-    monkeypatch.setattr(thread, "_rcl", Counting())
+    real = thread._rcl.take
+    monkeypatch.setattr(thread._rcl, "take", take)
     _, publisher = connect(taken.append)
     for number in range(50):
         publisher.publish(String(data=str(number)))
@@ -133,15 +129,8 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(connect, th
     eventually("the first sample arrives", lambda: len(taken) == 1)
     before = reader.handle
 
-    class Stuck:
-        def __getattr__(self, name):
-            return getattr(real, name)
-
-        def take(self, *arguments):
-            return 0 if reader.handle is before else real.take(*arguments)
-
-    real = thread._rcl
-    monkeypatch.setattr(thread, "_rcl", Stuck())
+    real = thread._rcl.take
+    monkeypatch.setattr(thread._rcl, "take", lambda *given: 0 if reader.handle is before else real(*given))
     publisher.publish(String(data="two"))
     eventually("the reader is replaced", lambda: reader.handle is not before)
     eventually("the new reader matches alone", lambda: publisher.get_subscription_count() == 1)

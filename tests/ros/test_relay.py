@@ -4,7 +4,6 @@ import threading
 from contextlib import ExitStack, closing
 
 import pytest
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Empty, String
 
 from arpd.model.endpoints import Overflow
@@ -13,10 +12,7 @@ from arpd.relay.ends.prefix import Prefixed
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
-from tests.ros.ends_world import RELIABLE, Counter, is_whole, listen, numbers
-
-BEST_EFFORT = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+from tests.ros.ends_world import BEST_EFFORT, RELIABLE, Counter, is_whole, latched, listen, numbers
 
 
 @pytest.fixture
@@ -60,12 +56,11 @@ def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, t
 
 def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually):
     """A late reader of the relayed topic receives the map published before it joined."""
-    talker = elsewhere("map_server").create_publisher(String, "/map", LATCHED)
+    talker = elsewhere("map_server").create_publisher(String, "/map", latched(1))
     talker.publish(String(data="the map"))
     carry(ros.node("relay"), RelaySettings(topics=(RelayTopic(name="/map"),)))
     eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
-    received = []
-    ros.node("late").create_subscription(String, "/link/map", lambda m: received.append(m.data), LATCHED)
+    received = listen(ros.node("late"), "/link/map", latched(1))
     eventually("the late reader gets the map", lambda: received == ["the map"])
 
 

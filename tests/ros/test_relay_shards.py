@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher
 from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.prefix import Participants, Prefixed
+from tests.ros.ends_world import listen
 from tests.ros.world import DOMAIN
 
 TOPICS = tuple(f"/t{k}" for k in range(110))
@@ -48,16 +49,8 @@ def until(notices, text):
 def test_shards_carry_all_topics_as_one_relay(ros, relay, notices, tmp_path, eventually):
     """Two nodes carry 110 topics; status, watchdog and stop are those of one process, and none carries twice."""
     until(notices, "READY=1")
-    source, far, received = ros.node("source"), ros.node("far"), dict.fromkeys(TOPICS, 0)
-
-    def listen(topic):
-        def count(_message):
-            received[topic] += 1
-
-        far.create_subscription(String, f"/link{topic}", count, 10)
-
-    for topic in TOPICS:
-        listen(topic)
+    source, far = ros.node("source"), ros.node("far")
+    received = [listen(far, f"/link{topic}", 10) for topic in TOPICS]
     publishers = [source.create_publisher(String, topic, 10) for topic in TOPICS]
     until(notices, f"STATUS=relaying {len(TOPICS)} of {len(TOPICS)} topics")
 
@@ -74,7 +67,7 @@ def test_shards_carry_all_topics_as_one_relay(ros, relay, notices, tmp_path, eve
     def all_arrive():
         for publisher in publishers:
             publisher.publish(String(data="x"))
-        return all(received.values())
+        return all(received)
 
     eventually("a sample of each topic arrives", all_arrive)
     eventually("each node announces its publishers", lambda: {*writers("/arpd/publishers")} == set(NODES))
@@ -90,10 +83,9 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
     """Images and what else has octets leave by another node than the rest, so that nothing waits behind them."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     # A relay carries what other processes publish.
-    source, far, heard = ros.elsewhere().node("source"), ros.node("far"), set()
-    publishers = [source.create_publisher(kind, topic, 10) for kind, topic in ((Image, "/image"), (String, "/chatter"))]
-    for kind, topic in ((Image, "/link/image"), (String, "/link/chatter")):
-        far.create_subscription(kind, topic, lambda _message, topic=topic: heard.add(topic), 10)
+    source, far, kinds = ros.elsewhere().node("source"), ros.node("far"), {"/image": Image, "/chatter": String}
+    publishers = [source.create_publisher(kind, topic, 10) for topic, kind in kinds.items()]
+    heard = [listen(far, f"/link{topic}", 10, kind) for topic, kind in kinds.items()]
     node = ros.node("mixed")
     settings = RelaySettings(topics=(RelayTopic(name="/image"), RelayTopic(name="/chatter")))
     relay = stack.enter_context(closing(Prefixed(node, settings, on_change=lambda _status: None)))
@@ -109,7 +101,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
         relay.look()
         publishers[0].publish(Image(data=bytes(300_000)))
         publishers[1].publish(String(data="x"))
-        return len(heard) == 2
+        return all(heard)
 
     eventually("both arrive", both_arrive)
 

@@ -6,12 +6,7 @@ from dataclasses import replace
 import pytest
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import (
-    QoSDurabilityPolicy,
-    QoSLivelinessPolicy,
-    QoSProfile,
-    QoSReliabilityPolicy,
-)
+from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
@@ -27,15 +22,6 @@ QUICK = SwapTiming(settle_s=0.1, drain_s=60.0)
 
 def make(node, qos, **options):
     return AdaptivePublisher(node, String, TOPIC, qos, swap_timing=QUICK, **options)
-
-
-def is_idle(publisher):
-    return not publisher._flow._swap.is_busy
-
-
-def offered_qos(ros_node):
-    infos = ros_node.get_publishers_info_by_topic(TOPIC)
-    return [info.qos_profile for info in infos if info.node_name == "talker"]
 
 
 def test_every_other_policy_survives(ros, eventually):
@@ -54,15 +40,13 @@ def test_every_other_policy_survives(ros, eventually):
     retune(publisher, depth=17, deadline_ns=10**9)
 
     def offered():
-        infos = offered_qos(watcher)
-        return infos if [qos.deadline.nanoseconds for qos in infos] == [10**9] else None
+        found = [info.qos_profile for info in watcher.get_publishers_info_by_topic(TOPIC)]
+        return found if [qos.deadline.nanoseconds for qos in found] == [10**9] else None
 
     (qos,) = eventually("only the new writer is in the graph", offered)
-    assert qos.reliability == wanted.reliability
     assert qos.durability == QoSDurabilityPolicy.VOLATILE
-    assert qos.lifespan == wanted.lifespan
-    assert qos.liveliness == wanted.liveliness
-    assert qos.liveliness_lease_duration == wanted.liveliness_lease_duration
+    for name in ("reliability", "lifespan", "liveliness", "liveliness_lease_duration"):
+        assert getattr(qos, name) == getattr(wanted, name), name
     publisher.assert_liveliness()
 
 
@@ -85,41 +69,35 @@ def test_a_reader_that_would_be_lost_undoes_the_swap(ros, eventually):
     eventually("the reader still receives", lambda: received)
 
 
-class Events:
-    """The application's event callbacks, and their events."""
-
-    def __init__(self):
-        self.matched = []
-        self.missed = []
-        self.callbacks = PublisherEventCallbacks(
-            matched=self.matched.append, deadline=self.missed.append, use_default_callbacks=False
-        )
+def callbacks(**events):
+    """Return the application's event callbacks, which keep events in these lists."""
+    return PublisherEventCallbacks(use_default_callbacks=False, **{name: kept.append for name, kept in events.items()})
 
 
 def test_the_application_does_not_hear_of_the_second_writer(ros, eventually):
     """Swaps cause no event for a known reader, and a reader that joins afterwards causes one."""
-    events = Events()
-    publisher = make(ros.node("talker"), 10, event_callbacks=events.callbacks)
+    matched = []
+    publisher = make(ros.node("talker"), 10, event_callbacks=callbacks(matched=matched))
     ros.node("first").create_subscription(String, TOPIC, lambda _message: None, 10)
-    eventually("the first reader is heard of", lambda: events.matched)
+    eventually("the first reader is heard of", lambda: matched)
     for depth in (20, 30):
         retune(publisher, depth=depth)
         eventually("the new depth is in force", lambda depth=depth: publisher.state().depth == depth)
-    eventually("the last swap ends", lambda: is_idle(publisher))
+    eventually("the last swap ends", lambda: not publisher._flow._swap.is_busy)
     ros.node("second").create_subscription(String, TOPIC, lambda _message: None, 10)
-    eventually("the second reader is heard of", lambda: len(events.matched) > 1)
-    assert [event.current_count for event in events.matched] == [1, 2]
+    eventually("the second reader is heard of", lambda: len(matched) > 1)
+    assert [event.current_count for event in matched] == [1, 2]
 
 
 def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually):
     """Missed deadlines are told and counted, a swap keeps the count, and a retired writer adds none."""
-    events = Events()
+    events = []
     profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=200_000_000))
-    publisher = make(ros.node("talker"), profile, event_callbacks=events.callbacks)
+    publisher = make(ros.node("talker"), profile, event_callbacks=callbacks(deadline=events))
     ros.node("reader").create_subscription(String, TOPIC, lambda _message: None, 10)
     eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
     publisher.publish(String(data="0"))
-    eventually("the silent writer misses deadlines", lambda: len(events.missed) > 1)
+    eventually("the silent writer misses deadlines", lambda: len(events) > 1)
     old, asked = publisher._writer, []
     monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains
     monkeypatch.setattr(old, "_in_force", lambda: asked.append(old is not publisher._writer) or publisher._writer)
@@ -127,14 +105,14 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
     # It still misses a deadline five times a second; its callbacks are called, and stay silent.
     eventually("the retired writer misses a deadline", lambda: any(asked))
-    missed, counted, denied = len(events.missed), publisher.state().deadlines_missed, asked.count(True)
+    missed, counted, denied = len(events), publisher.state().deadlines_missed, asked.count(True)
     assert counted >= before > 0
     eventually("it misses more", lambda: asked.count(True) > denied + 1)
-    assert (len(events.missed), publisher.state().deadlines_missed) == (missed, counted)
+    assert (len(events), publisher.state().deadlines_missed) == (missed, counted)
     retune(publisher, deadline_ns=100_000_000)
     eventually("the deadline is in force", lambda: publisher.state().deadline_ns == 100_000_000)
     publisher.publish(String(data="1"))
-    eventually("the new writer misses deadlines", lambda: len(events.missed) > missed)
+    eventually("the new writer misses deadlines", lambda: len(events) > missed)
     assert publisher.state().deadlines_missed > counted
 
 

@@ -2,13 +2,10 @@
 
 import json
 
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.model.names import is_internal
-
-BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+from tests.ros.ends_world import BEST_EFFORT, latched
 
 
 def test_the_command_lists_and_suggests_what_check_accepts(ros, arpd, tmp_path):
@@ -25,7 +22,7 @@ def test_the_command_lists_and_suggests_what_check_accepts(ros, arpd, tmp_path):
     talker.create_timer(0.02, lambda: fast.publish(String(data="x" * 99)))
     large = driver.create_publisher(UInt8MultiArray, "/large", BEST_EFFORT)
     driver.create_timer(0.1, lambda: large.publish(UInt8MultiArray(data=bytes(200_000))))
-    talker.create_publisher(String, "/map", LATCHED).publish(String(data="x" * 999))
+    talker.create_publisher(String, "/map", latched(3)).publish(String(data="x" * 999))
     talker.create_subscription(String, "/cmd", lambda _sample: None, 10)
 
     found = {topic["name"]: topic for topic in json.loads(output("topics", "--seconds", "2", "--json"))["topics"]}
@@ -34,8 +31,8 @@ def test_the_command_lists_and_suggests_what_check_accepts(ros, arpd, tmp_path):
     assert found["/fast"]["traffic"]["rate_hz"] > 0
     assert found["/large"]["writers"] == ["/arm/driver"]
     assert 200_000 < found["/large"]["traffic"]["mean_bytes"] < 200_100
-    latched = found["/map"]["traffic"]
-    assert (latched["rate_hz"], latched["mean_bytes"]) == (0.0, 4 + 4 + 1000)
+    of_map = found["/map"]["traffic"]
+    assert (of_map["rate_hz"], of_map["mean_bytes"]) == (0.0, 4 + 4 + 1000)
     assert (found["/cmd"]["traffic"], found["/cmd"]["readers"]) == (None, ["/talker"])
 
     path = tmp_path / "arpd.yaml"

@@ -14,11 +14,21 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from arpd.model.plan import TopicPlan
 from arpd.relay.ends.offers import VERSION, ServiceOffer, TopicOffer, WriterOffer, decode_state
 from arpd.relay.envelope import Record, pack, writer_key
-from tests.ros.ends_world import RELIABLE, ROBOT, Counter, Stranger, TwoEnds, is_whole, latched, listen, numbers
+from tests.ros.ends_world import (
+    BEST_EFFORT,
+    RELIABLE,
+    ROBOT,
+    Counter,
+    Stranger,
+    TwoEnds,
+    is_whole,
+    latched,
+    listen,
+    numbers,
+)
 from tests.ros.world import TERMS, Plans
 from tests.waiting import eventually as insist
 
-BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 # A busy machine holds the link up for a second; other topics keep the newest sample then, and by default a queue ten.
 QUEUE = "overflow: queue, depth: 1000"
 ORDERED = ("topics:", *(f"- {{name: {name}, {QUEUE}}}" for name in ("/chatter", "/tf", "/mixed", "/planned")))
@@ -62,11 +72,10 @@ def ends(ros, running):
 
 
 @pytest.fixture
-def world(ros, running, tmp_path):
-    """Make a world with these lines under ``relay:``, and no other ends in its domains."""
+def world(running, world):
+    """Leave no other ends in the domains."""
     running.stop()
-    with ExitStack() as stack:
-        yield lambda *relay, **options: TwoEnds(tmp_path, stack, relay, **options)
+    return world
 
 
 def test_a_topic_keeps_its_name_and_is_read_only_while_it_is_wanted(ends, talking, eventually):
@@ -104,21 +113,16 @@ def test_the_far_side_looks_as_the_robot(ends, eventually):
     far = ends.side("base").node("rqt")
     eventually("both writers show", lambda: far.count_publishers("/looks") == 2)
 
+    kept = ("reliability", "durability", "deadline", "lifespan", "liveliness", "liveliness_lease_duration")
+
     def shown(node):
-        return sorted(
-            (
-                info.node_namespace,
-                info.node_name,
+        return {
+            f"{info.node_namespace}/{info.node_name}": (
                 info.topic_type,
-                info.qos_profile.reliability,
-                info.qos_profile.durability,
-                info.qos_profile.deadline.nanoseconds,
-                info.qos_profile.lifespan.nanoseconds,
-                info.qos_profile.liveliness,
-                info.qos_profile.liveliness_lease_duration.nanoseconds,
+                [getattr(info.qos_profile, name) for name in kept],
             )
             for info in node.get_publishers_info_by_topic("/looks")
-        )
+        }
 
     eventually("both sides look the same", lambda: shown(far) == shown(sensor))
     nodes = {("sensor", "/left"), ("other", "/")}

@@ -13,8 +13,8 @@ from std_msgs.msg import String
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import SIDES
 from tests.ros.ends_world import BASE as BASE_DOMAIN
-from tests.ros.ends_world import RELIABLE, REPO, ROBOT, latched, listen
-from tests.ros.world import Ros
+from tests.ros.ends_world import RELIABLE, ROBOT, latched, listen
+from tests.ros.world import REPO, Ros
 from tests.waiting import eventually
 
 TOPICS = (

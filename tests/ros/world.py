@@ -1,31 +1,27 @@
-"""What tests with real rclpy share: their domain and nodes, arpd's processes, and what stands for the daemon."""
+"""What tests with real rclpy share: their domain and nodes, and what stands for the daemon."""
 
 import math
-import os
-import subprocess
-import sys
 import threading
 import time
 from array import array
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.price import Price
 from arpd.ros.attached import attached
 from arpd.ros.documents import pack, unpack
-from arpd.ros.names import PLAN_TOPIC, PRICE_TOPIC, PUBLISHERS_TOPIC
+from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.nodes import Nodes
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
-from arpd.ros.price_message import encode_price
 from arpd.ros.snapshot_decoder import decode_snapshot
 from scripts.bench.child import spinning
-from tests.waiting import eventually
 
 DOMAIN = 1  # `tests.network` sees to it that no other process is in it
 REPO = Path(__file__).resolve().parents[2]
@@ -60,18 +56,6 @@ class Ros:
         return Ros(self._stack, domain)
 
 
-def start_arpd(*arguments, log=None, **environment):
-    """Start a command of arpd in the tests' domain."""
-    return subprocess.Popen(
-        [sys.executable, "-u", "-m", "arpd.cli", *map(str, arguments)],
-        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), **environment},
-        stdout=subprocess.PIPE,
-        stderr=log.open("w") if log else None,
-        text=True,
-        cwd=REPO,
-    )
-
-
 class SkippingClock:
     """The time of this computer, and what was skipped, so that what takes seconds need not be waited for."""
 
@@ -93,24 +77,9 @@ class SkippingClock:
 # -- what stands for the daemon
 
 
-def costing(rate_hz, **fields):
+def costing(rate_hz):
     """Return the price at which a publisher of these terms may publish at this rate."""
-    return Price(share_per_weight=rate_hz * 1e-3, capacity_bytes_per_second=1e6, **fields)
-
-
-class PriceSender:
-    """Sends prices on the topic."""
-
-    def __init__(self, node):
-        self._publisher = node.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-
-    def __call__(self, price=FREE):
-        self._publisher.publish(Float64MultiArray(data=encode_price(price)))
-
-    def until(self, price, what, condition):
-        """Send a price again and again, because its topic is best effort, until a condition holds."""
-        eventually("somebody listens to the price", self._publisher.get_subscription_count)
-        eventually(what, lambda: self(price) or condition())
+    return Price(share_per_weight=rate_hz * 1e-3, capacity_bytes_per_second=1e6)
 
 
 class Plans:
@@ -138,29 +107,16 @@ def retune(publisher, **changes):
     publisher._shared._retune(publisher, replace(publisher.plan, **changes))
 
 
-class Everybody:
-    """A graph that shows whatever nodes tell."""
-
-    def shows_writer(self, _node, _topic):
-        return True
-
-    def fields_of(self, _topic):
-        return {}
+# A graph that shows whatever nodes tell.
+EVERYBODY = SimpleNamespace(shows_writer=lambda _node, _topic: True, fields_of=lambda _topic: {})
 
 
 class Announced:
-    """Hears the snapshots of all nodes, and puts them together as the daemon does.
+    """Hears the snapshots of all nodes, and puts them together as the daemon does; the node's owner spins it."""
 
-    Parameters
-    ----------
-    node : rclpy node; its owner spins it
-    on_news : called with the states of one node when it has told something
-    """
-
-    def __init__(self, node, on_news=lambda _states: None):
+    def __init__(self, node):
         self._nodes = Nodes()
         self._lock = threading.Lock()
-        self._on_news = on_news
         qos = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(UInt8MultiArray, PUBLISHERS_TOPIC, self._on_snapshot, qos)
 
@@ -176,18 +132,8 @@ class Announced:
         with self._lock:
             return self._nodes.answers
 
-    @property
-    def last(self):
-        """The only publisher there is, None before it is heard."""
-        return next(iter(self.states), None)
-
-    def shows(self, **values):
-        state = self.last
-        return state is not None and all(getattr(state, key) == value for key, value in values.items())
-
     def _on_snapshot(self, message):
         snapshot = decode_snapshot(bytes(message.data))
         with self._lock:
             self._nodes.note(snapshot.node.encode(), snapshot, time.monotonic())
-            self._nodes.see(Everybody())
-        self._on_news([state for state in self.states if state.node == snapshot.node])
+            self._nodes.see(EVERYBODY)

@@ -3,8 +3,6 @@
 Usage: as of `scripts.bench.nodes`, with three more commands, each answered with the states of the publishers.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

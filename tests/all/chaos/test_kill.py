@@ -1,7 +1,5 @@
 """Kill -9 of who takes part in a writer swap, and readers that join, in every state of it."""
 
-from __future__ import annotations
-
 import time
 from contextlib import ExitStack
 from dataclasses import replace

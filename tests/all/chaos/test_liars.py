@@ -44,7 +44,8 @@ def outcome(tmp_path_factory):
         eventually("the daemon ticks", lambda: metrics(url).get("arpd_ticks_total", 0) > 5)
         argv = [sys.executable, "-m", "tests.all.chaos.rogue", TOPIC]
         rogue = world.link.popen("robot", argv, cwd=REPO)
-        eventually("the flood arrives", lambda: refusals(url) > 500)
+        refused = "arpd_messages_refused_total"
+        eventually("the flood arrives", lambda: sum(n for k, n in metrics(url).items() if k.startswith(refused)) > 500)
         assert world.start(stack) == []
         world.begin(3600.0)
         eventually("the honest one is confirmed", lambda: metrics(url).get("arpd_publishers_confirmed") == 1)
@@ -57,10 +58,6 @@ def outcome(tmp_path_factory):
         eventually("the honest samples arrive", lambda: len(sink.ask(do="report")["arrivals"][TOPIC]) > ENOUGH)
         assert rogue.poll() is None
         yield SimpleNamespace(seen=seen, status=status, log=(world.workdir / "run.log").read_text())
-
-
-def refusals(url):
-    return sum(value for name, value in metrics(url).items() if name.startswith("arpd_messages_refused_total"))
 
 
 def test_an_honest_publisher_is_planned_for_in_a_flood(outcome):

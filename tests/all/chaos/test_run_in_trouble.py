@@ -1,7 +1,5 @@
 """`arpd run` among real nodes, with a node that hangs and signals at any time."""
 
-from __future__ import annotations
-
 import json
 import signal
 import time

@@ -1,7 +1,5 @@
 """The two hosts of a simulated link, and what a user runs on them."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -58,9 +56,9 @@ class Hosts:
         self.start(host, name, sys.executable, str(NODE), name, *parts, **environment)
         eventually(f"{name} is there", lambda: "ready" in self.text(name))
 
-    def call(self, host, *argv, **environment):
-        """Run a program to its end; return its exit code, its output and its errors."""
-        process = self._popen(host, argv, environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    def call(self, host, *argv):
+        """Run a program to its end; return its output, its errors and its exit code."""
+        process = self._popen(host, argv, {}, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         return *process.communicate(), process.returncode
 
     def _popen(self, host, argv, environment, **options):

@@ -1,7 +1,5 @@
 """A robot for tests, by default the demo's: live, with AdaptivePublishers and arpd, over a real link."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 

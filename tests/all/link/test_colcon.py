@@ -1,7 +1,5 @@
 """A colcon workspace with arpd: it builds, `ros2 run` finds arpd, and a user's node in it is planned for."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """`arpd doctor` on both ends of a real link, with a daemon, a peer and nodes."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """The README, followed: what stands between its fences is executed, on a robot and a base computer joined by a link."""
 
-from __future__ import annotations
-
 import re
 import sys
 import textwrap

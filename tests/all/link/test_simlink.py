@@ -1,7 +1,5 @@
 """The simulated link with real packets: rate, queue, loss, environment and cleanup."""
 
-from __future__ import annotations
-
 import os
 import socket
 import statistics

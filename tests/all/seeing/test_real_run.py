@@ -4,8 +4,6 @@ The demo's robot plays over a real link, and Prometheus runs on it, with the con
 etc/prometheus; only its intervals are shorter. Forwarded ports lead from here to it and to the daemon.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -79,11 +77,8 @@ class RealRun:
             raise ValueError(f"{parameters}: {json.load(error)['error']}") from error
 
     def query(self, expression):
-        """Evaluate an expression now; return (labels, value) pairs."""
-        answer = self.ask("query", query=expression)
-        if answer["resultType"] in ("scalar", "string"):
-            return [({}, float(answer["result"][1]))]
-        return [(series["metric"], float(series["value"][1])) for series in answer["result"]]
+        """Return the series for which an expression holds now."""
+        return self.ask("query", query=expression)["result"]
 
     def course(self, expression, step_s=1.0):
         """Evaluate an expression over the whole run; return (labels, [(Unix time, value), …]) pairs."""

@@ -4,8 +4,6 @@ ROS under /opt/ros/jazzy and what apt has come from the test's environment, in i
 everything and fetches nothing.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """A robot and a base computer, each booted with its own systemd, a shaped link between them, and arpd's package."""
 
-from __future__ import annotations
-
 import os
 from contextlib import ExitStack
 

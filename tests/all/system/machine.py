@@ -4,8 +4,6 @@ It writes into a tmpfs. Its mounts and processes are in namespaces that end with
 after kill -9. Its network is an existing namespace.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -13,16 +11,11 @@ import subprocess
 import sys
 import tempfile
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
 from tests.waiting import eventually
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _CALL_S = 120.0
 _TOOLS = ("systemd-nspawn", "systemctl", "nsenter", "unshare", "setpriv")
@@ -50,7 +43,7 @@ _IN_CGROUPS = 'for each in $1; do echo $$ >"$each/cgroup.procs"; done; shift; ex
 _HIERARCHIES = tuple(Path("/sys/fs/cgroup", name) for name in ("", "unified", "systemd"))
 
 
-def available() -> tuple[bool, str]:
+def available():
     """Return whether a computer can boot here, and if not, the reason."""
     if os.geteuid() != 0:
         return False, "not root, which mounting an overlay and systemd-nspawn need"
@@ -61,58 +54,52 @@ def available() -> tuple[bool, str]:
     return tried.returncode == 0, f"no overlay of / here: {tried.stderr.strip()}"
 
 
-@dataclass(slots=True)
 class Computer:
-    """A booted computer.
+    """A booted computer; ``init`` is the process id of its systemd here, which changes with a reboot."""
 
-    Parameters
-    ----------
-    init : process id of its systemd here; changes with a reboot
-    """
+    def __init__(self, init, outside):
+        self.init, self._outside = init, outside
 
-    init: int
-    _outside: subprocess.Popen[bytes]
-
-    def path(self, inside: str) -> Path:
+    def path(self, inside):
         """Return where one of its files is here."""
         return Path(f"/proc/{self.init}/root", inside.lstrip("/"))
 
-    def write(self, inside: str, text: str) -> Path:
+    def write(self, inside, text):
         """Write one of its files."""
         path = self.path(inside)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
         return path
 
-    def call(self, *argv: str) -> subprocess.CompletedProcess[str]:
+    def call(self, *argv):
         """Run a command inside to its end."""
         return subprocess.run(self._inside(argv), capture_output=True, text=True, check=False, timeout=_CALL_S)
 
-    def popen(self, *argv: str) -> subprocess.Popen[str]:
+    def popen(self, *argv):
         """Start a command inside."""
         return subprocess.Popen(self._inside(argv), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
-    def show(self, unit: str, *properties: str) -> dict[str, str]:
+    def show(self, unit, *properties):
         """Return properties of a unit."""
         shown = self.call("systemctl", "show", unit, f"--property={','.join(properties)}").stdout
         return dict(line.split("=", 1) for line in shown.splitlines())
 
-    def journal(self, unit: str) -> str:
+    def journal(self, unit):
         """Return the log of a unit, and systemd's log about it."""
         return self.call("journalctl", "--unit", unit, "--no-pager").stdout
 
-    def reboot(self) -> None:
+    def reboot(self):
         """Reboot on the same files and wait for the boot."""
         before = self.init
         self.call("systemctl", "reboot")
         self.init = _await_boot(self._outside, other_than=before)
 
-    def _inside(self, argv: tuple[str, ...]) -> list[str]:
+    def _inside(self, argv):
         return ["nsenter", "--target", str(self.init), "--all", *argv]
 
 
 @contextmanager
-def booted(name: str, *, network: Path) -> Iterator[Computer]:
+def booted(name, *, network):
     """Boot a computer of this name into multi-user.target in a network namespace; the end of the block ends it."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="arpd-machine-"))
@@ -145,15 +132,15 @@ def booted(name: str, *, network: Path) -> Iterator[Computer]:
             raise
 
 
-def _on_overlay(folder: str, *argv: str) -> list[str]:
+def _on_overlay(folder, *argv):
     """Return the command line that runs ``argv`` with this computer's files, to be written to, in ``folder/root``."""
     # Otherwise nspawn would outlive its parent, and systemd would outlive nspawn.
     namespaces = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
     return ["setpriv", "--pdeathsig", "KILL", *namespaces, "sh", "-c", _ON_AN_OVERLAY, "sh", folder, *argv]
 
 
-def _await_boot(outside: subprocess.Popen[bytes], *, other_than: int | None = None) -> int:
-    def find_init() -> int | None:
+def _await_boot(outside, *, other_than=None):
+    def find_init():
         assert outside.poll() is None, f"systemd-nspawn ended with code {outside.returncode}"
         if (init := _init_of(outside)) in (None, other_than):
             return None
@@ -163,7 +150,7 @@ def _await_boot(outside: subprocess.Popen[bytes], *, other_than: int | None = No
     return eventually("multi-user.target is reached", find_init)
 
 
-def _init_of(outside: subprocess.Popen[bytes]) -> int | None:
+def _init_of(outside):
     """Return the process id of the computer's systemd, None while there is none."""
     for process in psutil.Process(outside.pid).children(recursive=True):
         with suppress(OSError):
@@ -173,7 +160,7 @@ def _init_of(outside: subprocess.Popen[bytes]) -> int | None:
     return None
 
 
-def _is_removed(cgroup: Path) -> bool:
+def _is_removed(cgroup):
     for path, _, _ in os.walk(cgroup, topdown=False):
         with suppress(OSError):  # a killed process stays in it for a moment
             Path(path).rmdir()

@@ -1,7 +1,5 @@
 """arpd's units under a real systemd, on a robot and a base computer joined by a shaped link."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading

@@ -1,7 +1,5 @@
 """scripts/deb and the package that it builds, on a booted computer."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,5 +1,6 @@
 """Metrics, documents and the HTTP server, over loopback."""
 
+import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
@@ -7,13 +8,15 @@ from types import SimpleNamespace
 import pytest
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
+from tornado.netutil import bind_sockets
 
 from arpd.model.relay import RelaySummary, RelayTopics
+from arpd.model.settings import HttpSettings
 from arpd.report.situation import judge
 from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
 from tests.golden.sample import changed
-from tests.unit.web_world import running
+from tests.unit.web_world import running, server_of
 from tests.waiting import eventually
 
 NOW_S = 1000.25
@@ -161,3 +164,21 @@ def test_a_fault_while_answering_leaks_nothing_and_is_logged(caplog):
         assert (answer.status, answer.text) == (500, "500 Internal Server Error\n")
         assert world.get().status == 200
     assert "AttributeError" in caplog.text
+
+
+def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
+    """The daemon goes on without metrics, logs once which keys to change, and serves as soon as the port is free."""
+    monkeypatch.setattr("arpd.web.server._LOOK_S", 0.02)
+    caplog.set_level("INFO", "arpd.web.server")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port, tries = other.getsockname()[1], []
+        monkeypatch.setattr("arpd.web.server.bind_sockets", lambda *at: tries.append(at) or bind_sockets(*at))
+        server = server_of(HttpSettings(port=port))
+        with server.up():
+            eventually("it has tried again", lambda: len(tries) > 2)
+            assert f"cannot listen on 127.0.0.1:{port}" in server.fault
+            other.close()
+            eventually("it serves", lambda: not server.fault)
+            assert server.port == port
+    assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
+    assert "Set http.host and http.port" in caplog.text
