@@ -265,10 +265,10 @@ def _wrapped(line: str) -> str:
     return textwrap.fill(line, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
-_RIVALS = {
+#: Sides in the README's table and picture, and what they are called there.
+RIVALS = {
     "plain": "rclpy's defaults",
     "large_data": "Fast DDS' LARGE_DATA",
-    "large_data_bbr": "the same with TCP BBR",
     "zenoh_first": "Zenoh, tuned",
     "two_ends": "arpd",
 }
@@ -292,7 +292,7 @@ def rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> st
         return " / ".join("never" if None in each else shown(float(median(each))) for each in found if each)
 
     return _markdown(
-        ["", *heads], [[said, *(both(side, column) for column in heads.values())] for side, said in _RIVALS.items()]
+        ["", *heads], [[said, *(both(side, column) for column in heads.values())] for side, said in RIVALS.items()]
     )
 
 
@@ -328,7 +328,7 @@ def draw(path: Path, table: Table | None) -> None:
     is_dots = None in table.rows[0]
     firsts, *columns = zip(*table.rows, strict=True)
     for name, values in zip(table.columns[1:], columns, strict=True):
-        axes.plot(firsts, values, "o" if is_dots else "-", label=_RIVALS.get(name, name))
+        axes.plot(firsts, values, "o" if is_dots else "-", label=RIVALS.get(name, name))
     axes.set(**{"xscale" if is_dots else "yscale": "log"}, xlabel=table.columns[0], ylabel=table.title)
     axes.grid(visible=True, color="0.9")
     axes.legend(loc="best", frameon=False)

@@ -28,7 +28,7 @@ from arpd.solve.topics import Traffic, rows_of_traffic
 from scripts.bench.account import AGE_S, Account
 from scripts.bench.child import ChildError
 from scripts.bench.links import DURATION_S, MBIT, STALL_S, Course, at, links
-from scripts.bench.report import Figure, Summary, Table, figure, ranged, table
+from scripts.bench.report import RIVALS, Figure, Summary, Table, figure, ranged, table
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import PREFIX, SIDES, Robot, Service
 from scripts.bench.world import world_of
@@ -156,7 +156,7 @@ WAYS = {
     "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
     "bound": "the same, told the mean of the link's next 0.2 s at every tick",
 }
-_RIVALS = frozenset(WAYS) - {"adaptive", "adaptive_tcp", "two_ends", "bound"}
+_OTHERS = frozenset(WAYS) - {"adaptive", "adaptive_tcp", "two_ends", "bound"}
 #: What a run without --only or --full plays, with these sides: robot, link, bottleneck.
 _USUAL: tuple[tuple[str, str, Bottleneck], ...] = (
     ("tb4", "fall-and-rise", "sender"),
@@ -178,7 +178,7 @@ _AIMS: dict[str, tuple[float, float, bool]] = {
     "large age p99 s": (1.0, 0.0, False),
     "whole sets/s": (0.9, 0.0, True),
 }
-FAULTS = ("doubled", "torn", "out_of_order")
+FAULTS = ("doubled", "torn", "out_of_order", "never matched")
 CELL = ("robot", "link", "bottleneck", "side")
 #: The robot, link, bottleneck and topic of the picture.
 _SHOWN, _SHOWN_TOPIC, _EVERY = ("tb4", "fall-and-rise", "middle"), "/scan", 10
@@ -252,7 +252,7 @@ def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
             print(f"{robot}, {link}, {bottleneck}, {side}: {error}", file=sys.stderr)
             continue
         found.append(row)
-        if (robot, link, bottleneck) == _SHOWN and number == 0:
+        if (robot, link, bottleneck) == _SHOWN and number == 0 and side in RIVALS:
             every_s = account.ages_s[_SHOWN_TOPIC]
             ages_s[side] = [max(every_s[k : k + _EVERY]) for k in range(0, len(every_s), _EVERY)]
     lines = [
@@ -263,36 +263,35 @@ def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
 
 
 def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
-    """Return a line for each side on each link, and arpd beside the best of its rivals, from what each round found."""
-    cells: dict[tuple[str, ...], dict[str, list[Any]]] = {}
-    for row in rounds.rows:
-        columns = cells.setdefault(tuple(row[: len(CELL)]), {})
-        for key, value in list(zip(rounds.columns, row, strict=True))[len(CELL) :]:
+    """Return a table for each place, and arpd beside the best of its rivals, from what each round found."""
+    places: dict[tuple[str, ...], dict[str, dict[str, list[Any]]]] = {}
+    for robot, link, bottleneck, side, *values in rounds.rows:
+        columns = places.setdefault((robot, link, bottleneck), {}).setdefault(side, {})
+        for key, value in zip(rounds.columns[len(CELL) :], values, strict=True):
             columns.setdefault(key, []).append(value)
-    places = dict.fromkeys(cell[:-1] for cell in cells)
-    figures = [
-        each
-        for place in places
-        for each in _aims(place, {cell[-1]: columns for cell, columns in cells.items() if cell[:-1] == place})
-    ]
-    lines = [
-        {
-            **dict(zip(CELL, cell, strict=True)),
-            "rounds": len(columns["small %"]),
-            **{key: ranged(values) for key, values in columns.items() if key not in FAULTS},
-            "doubled, torn, late": ", ".join(str(max(columns[key])) for key in FAULTS),
-        }
-        for cell, columns in cells.items()
-    ]
     return Summary(
         about="Medians, and the range of the rounds. Small: samples up to ten packets. Age: of the newest sample. "
         f"Targets: no worse than the worst round of the best rival that was played {ROUNDS} times, but for 10 ms of "
         "commands and a tenth of the large samples; rounds in which a rival's topics never matched set none.",
-        figures=figures,
-        tables=[table("", lines), table("", [{"side": side, "what": what} for side, what in WAYS.items()])],
+        figures=[each for place, sides in places.items() for each in _aims(place, sides)],
+        tables=[
+            *(_of_place(*each) for each in places.items()),
+            table("Sides", [{"side": side, "what": what} for side, what in WAYS.items()]),
+        ],
         rounds=rounds,
         drawn=drawn,
     )
+
+
+def _of_place(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> Table:
+    """Return a line for each side, without columns that say nothing."""
+    rows = []
+    for side, columns in sides.items():
+        found = {key: ranged(values) for key, values in columns.items() if key not in FAULTS}
+        faults = {key.replace("_", " "): max(columns[key]) for key in FAULTS}
+        rows.append({"side": side, "rounds": len(columns["small %"]), **found, **faults})
+    said = {key for row in rows for key, value in row.items() if value not in {None, 0, "0"}}
+    return table(", ".join(place), [{key: value for key, value in row.items() if key in said} for row in rows])
 
 
 def _aims(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> list[Figure]:
@@ -300,7 +299,7 @@ def _aims(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> lis
     rivals = {
         side: {key: list(compress(values, map(not_, columns["never matched"]))) for key, values in columns.items()}
         for side, columns in sides.items()
-        if side in _RIVALS and len(columns["small %"]) >= ROUNDS
+        if side in _OTHERS and len(columns["small %"]) >= ROUNDS
     }
     found = []
     for key, (share, more, is_least) in _AIMS.items() if "two_ends" in sides else ():
