@@ -206,7 +206,9 @@ class Estimator:
         self._queues.clear()
 
     def _resume(self, now_s: float, silent_s: float) -> None:
-        self._forget_queue()
+        # What the outage held up is a queue still, and the pings in it show how long it is, against delays of before.
+        # Where they were lost, they look the same until a later one arrives.
+        self._schedule.hurry()
         self._trains.clear()
         # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
         self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S

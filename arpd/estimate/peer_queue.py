@@ -32,27 +32,36 @@ class SentPing(NamedTuple):
 
 
 class _Recent:
-    """Times of the last 10 s, of any clock (s)."""
+    """Times of the last 10 s, of any clock, of which only the least counts; infinite before any (s).
+
+    Longer silence does not age them: in an outage a queue stands, and no ping shows what the way takes without one.
+    """
 
     def __init__(self) -> None:
-        self._noted: deque[tuple[float, float]] = deque()
+        self._noted: deque[tuple[float, float]] = deque()  # (age of this, time), both ascending
+        self._at_s, self._age_s = math.inf, 0.0
 
     def note(self, now_s: float, value_s: float) -> float:
         """Note one, and return its excess over the least (s)."""
-        self._noted.append((now_s, value_s))
-        while now_s - self._noted[0][0] > parameters.DELAY_WINDOW_S:
+        self._age_s += max(0.0, min(now_s - self._at_s, parameters.OUTAGE_FORGET_S))
+        self._at_s = now_s
+        while self._noted and self._noted[-1][1] >= value_s:
+            self._noted.pop()
+        self._noted.append((self._age_s, value_s))
+        while self._age_s - self._noted[0][0] > parameters.DELAY_WINDOW_S:
             self._noted.popleft()
-        return value_s - min(self.values())
+        return value_s - self.least_s
 
-    def values(self) -> list[float]:
-        return [value_s for _, value_s in self._noted]
+    @property
+    def least_s(self) -> float:
+        return self._noted[0][1] if self._noted else math.inf
 
 
 class QueueGauge:
     """Three witnesses of the queue between this host and one peer; none needs synchronised clocks.
 
     - *Delay*: the one-way delay of a ping above its least of the last 10 s. Exact, and late by the queue itself.
-    - *Overdue*: a ping is on its way for longer than usual. The queue is at least that long.
+    - *Overdue*: a ping is on its way for longer than the least round trip. The queue is at least that long.
     - *Bytes*: the bytes handed to the interface since the departure of the last ping that arrived, less the bytes that
       the peer received since its arrival. In a FIFO that is exactly the queue, half a second before a ping can show it.
       Lost bytes look the same until the next ping arrives, so bytes may only raise an alarm.
@@ -98,7 +107,7 @@ class QueueGauge:
         if report.delays_s and round_trip_s < math.inf:
             # Round trips use our own clock, so they bound what a step of the peer's clock adds to a delay. The least
             # round trip may include a wait for its report that is `PROMPT_S` longer than this one.
-            most_s = round_trip_s - min(self._round_trips.values()) + PROMPT_S
+            most_s = round_trip_s - self._round_trips.least_s + PROMPT_S
             # The least of a report counts: a late wakeup of the receiver only adds delay.
             self.delay_s = min(self._delays.note(now_s, min(report.delays_s)), most_s)
             if report.return_delay_s is not None:
@@ -125,7 +134,7 @@ class QueueGauge:
         self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
         # What is on a long way looks like what waits, and so do lost bytes; but a ping arrives after what it waits for.
         has_left = self._last_ping is not None and now_s - self._last_ping.sent_s < silent_s
-        if has_left or report.interval_s < min(self._round_trips.values(), default=0.0):
+        if has_left or report.interval_s < self._round_trips.least_s < math.inf:
             self.backlog.busy_rate = None
 
     def _arrived(self, report: PeerReport) -> float:
@@ -161,9 +170,11 @@ class QueueGauge:
         if ping is not None and ping.handed_bytes is not None and handed_bytes is not None:
             come_s = max(0.0, handed_bytes - ping.handed_bytes) / capacity
             queue_s = max(0.0, self.delay_s + come_s - (now_s - ping.sent_s))
-        if not self._under_way or not (round_trips_s := self._round_trips.values()):
+        if not self._under_way:
             return queue_s
-        return max(queue_s, now_s - self._under_way[0].sent_s - median(round_trips_s))
+        # The usual round trip grows with a queue that stands, and would hide it. A report may wait, too.
+        without_s = self._round_trips.least_s + PROMPT_S + (self.return_delay_s or 0.0)
+        return max(queue_s, now_s - self._under_way[0].sent_s - without_s)
 
     def delivery(self, since_s: float) -> tuple[float, float]:
         """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""

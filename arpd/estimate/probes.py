@@ -52,6 +52,10 @@ class ProbeSchedule:
         self._trains = self._probes = 0
         self.quiet_s = 0.0
 
+    def hurry(self) -> None:
+        """Let the next ping leave at once."""
+        self._ping_at_s = -math.inf
+
     def wanted(
         self,
         now_s: float,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from arpd.sim.link import ForeignFlow
+from arpd.sim.link import ForeignFlow, LinkModel
 from tests.sim.test_price import QUEUE, ROBOT, at, play
 from tests.sim.watched import MBIT, goodput, queues
 
@@ -21,6 +21,15 @@ def test_a_download_into_the_peer_is_no_capacity():
     assert "up" not in played.plans(FALLS_S, LASTS_S)
     waits = queues(played.result, FALLS_S + 3.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.15
+
+
+def test_what_a_standstill_held_up_is_a_queue():
+    """When a queue that the host cannot see stands still for 2 s and goes on slowly, it drains, and stays short."""
+    out_of_sight = LinkModel(queue_bytes=0, firmware_bytes=QUEUE.queue_bytes)
+    played = play(at((0, 6), (13, 1.5), (15, 0), (17, 1.5)), 30.0, model=out_of_sight)
+    waits = queues(played.result, 20.0, 30.0)
+    assert waits[len(waits) // 2] < 0.3
+    assert goodput(played.result, 20.0, 30.0) > 0.5 * 1.5 * MBIT
 
 
 def test_one_drop_without_a_peer_starves_nobody():

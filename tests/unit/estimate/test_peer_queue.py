@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.estimate.peer_queue import QueueGauge, SentPing
+from arpd.estimate.receiver import PROMPT_S
 from arpd.model.probing import PeerReport
 
 RATE = 500_000.0  # bytes/s, of the link
@@ -86,6 +87,35 @@ class Fifo:
 
 LOADS = st.lists(st.floats(0.0, 2.5 * RATE * 0.1), min_size=1, max_size=40)
 CLOCKS = st.sampled_from([0.0, -3.0e9, 17.5])
+
+
+@given(st.lists(st.floats(0.0, 0.3), min_size=3, max_size=30), st.floats(0.0, 3.0))
+def test_an_overdue_ping_waits_behind_a_queue_of_that_length(waits_s, standing_s):
+    """A ping on its way for longer than the least round trip shows at once a queue as long as the excess."""
+    fifo = Fifo()
+    for wait_s in waits_s:
+        fifo.send(wait_s * RATE)
+        fifo.cycle(duration_s=wait_s + 0.01)
+
+    def queue_s():
+        return fifo.gauge.queue_s(fifo.now_s, handed_bytes=None, capacity=RATE)
+
+    fifo.send(standing_s * RATE)
+    fifo.ping()
+    before_s = fifo.gauge.delay_s
+    for _ in range(10):
+        fifo.wait(0.099 * standing_s)
+        assert 0.0 <= queue_s() <= max(before_s, standing_s)
+    assert queue_s() >= 0.98 * standing_s - min(waits_s) - PROMPT_S
+
+
+def test_a_ping_that_waited_out_an_outage_shows_all_of_the_wait():
+    """While no ping arrives, the least delay does not grow old."""
+    fifo = Fifo(clock_s=17.5)
+    fifo.cycle()
+    fifo.send(20.0 * RATE)
+    fifo.cycle(duration_s=20.1)
+    assert fifo.gauge.delay_s == pytest.approx(20.0, abs=1e-3)
 
 
 @given(LOADS, CLOCKS, st.lists(st.floats(1e3, 0.5 * RATE * 0.1), min_size=4, max_size=10))
