@@ -201,7 +201,6 @@ TARGETS: tuple[tuple[str, str, str, tuple[str, ...], tuple[float, float]], ...] 
 
 def _one(key: tuple[str, int]) -> dict[tuple[str, str], Metrics]:
     """Play one scenario with one seed; return the figures of every way."""
-    logging.disable(logging.CRITICAL)
     name, seed = key
     run = replace(SCENARIOS[name], seed=seed)
     if name in _RANDOM:
@@ -215,7 +214,7 @@ def play(*, is_quick: bool, only: str = "", rounds: int = 1) -> Summary:
     seeds = 2 if is_quick else SEEDS * rounds
     names = [name for name in (QUICK if is_quick else SCENARIOS) if only in name]
     found: dict[tuple[str, str], list[Metrics]] = {}
-    with ProcessPoolExecutor(PROCESSES) as pool:
+    with ProcessPoolExecutor(PROCESSES, initializer=logging.disable) as pool:
         for ways in pool.map(_one, product(names, range(1, seeds + 1))):
             for row, metrics in ways.items():
                 found.setdefault(row, []).append(metrics)

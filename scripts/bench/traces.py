@@ -49,7 +49,6 @@ def recordings(folder: Path | None, rounds: int = 1) -> list[LinkTrace]:
 
 def measured(trace: LinkTrace, side: str) -> dict[str, Any]:
     """Play a link with one side; the robot has so many cameras that it fills nine of ten seconds of the link."""
-    logging.disable(logging.CRITICAL)
     end_s, service = min(max(trace.duration_s, _LEAST_S), _MOST_S), Service(trace.rates)
     seconds = [service.by(at_s + 1.0) - service.by(at_s) for at_s in range(int(end_s))]
     cameras = math.ceil((percentile(seconds, 0.9) or 0.0) / (CAMERA.payload_bytes * CAMERA.rate_hz))
@@ -82,7 +81,7 @@ def play(*, is_quick: bool, folder: Path | None = None, rounds: int = 1) -> Summ
     """Play every link with every side."""
     if not (traces := recordings(folder, rounds)[: 1 if is_quick else None]):
         sys.exit(f"{folder}: no recording in it")
-    with ProcessPoolExecutor(PROCESSES) as pool:
+    with ProcessPoolExecutor(PROCESSES, initializer=logging.disable) as pool:
         return summary(list(pool.map(measured, *zip(*product(traces, SIDES), strict=True))))
 
 

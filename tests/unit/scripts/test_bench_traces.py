@@ -1,7 +1,5 @@
 """scripts/bench/traces.py: a folder of recorded links becomes a table and dots."""
 
-import logging
-
 import pytest
 
 from scripts.bench.report import draw
@@ -15,8 +13,7 @@ def folder(tmp_path):
     (tmp_path / "a.csv").write_text(CSV)
     (tmp_path / "b.csv").write_text(CSV.replace("15", "x"))
     (tmp_path / "c.up").write_text("1\n")
-    yield tmp_path
-    logging.disable(logging.NOTSET)  # which a process of the benchmark's pool switches off for good
+    return tmp_path
 
 
 def test_a_file_that_is_no_recording_is_named_with_its_line_and_the_others_are_read(folder, capsys):
