@@ -277,11 +277,13 @@ class Lane:
 
     def give_up_old(self) -> None:
         """Give up what has become old in an outage: all but the newest of a source."""
-        for line in self._lines.values() if not self._is_ordered and not self.is_kept and self._depth == 1 else ():
-            while len(line) > 1:
+        if self.is_kept:
+            return
+        for line in self._lines.values():
+            while len(line) > self._depth:
                 line.popleft()
                 self.withheld[WithheldCause.BLOCKED.value] += 1
-        if self.current is not None and not self.is_kept and self.current.source in self._lines:
+        if self.current is not None and self.current.source in self._lines:
             self.withheld[WithheldCause.BLOCKED.value] += 1
             self.current = None
 

@@ -89,7 +89,7 @@ def listed() -> str:
     for name, (_, minutes, _, question) in SCENARIOS.items():
         path = RESULTS / f"{name}.json"
         kept = Summary.read(path).conditions if path.exists() else []
-        when = ", ".join(f"{one['date']} at {one['commit'][:7]}" for one in kept) or "never"
+        when = ", ".join(dict.fromkeys(f"{one['date']} at {one['commit'][:7]}" for one in kept)) or "never"
         lines.append(f"{name:9} {minutes:4g} min  {question}  ({when})")
     return "\n".join(lines)
 

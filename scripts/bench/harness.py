@@ -1,4 +1,4 @@
-"""What every run notes: conditions, whether the machine was its own, and what the looks at a link say."""
+"""What every run notes: its conditions, and whether the machine was its own."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ import psutil
 from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
 
 _MOST_FOREIGN = 0.05  # of the machine's processors
-_HOLDS_S = 1.0 - 1e-9
 
 
 def conditions() -> dict[str, Any]:
@@ -60,13 +59,3 @@ def _own_s() -> float:
         with suppress(psutil.Error):
             total += sum(process.cpu_times()[:4])  # its own, and that of the children it has waited for
     return total
-
-
-def settled_s(looks: Iterable[tuple[float, bool]]) -> float | None:
-    """Return when something begins to hold for a second (s); None = never."""
-    began_s: float | None = None
-    for at_s, holds in looks:
-        began_s = (at_s if began_s is None else began_s) if holds else None
-        if began_s is not None and at_s - began_s >= _HOLDS_S:
-            return began_s
-    return None

@@ -302,8 +302,6 @@ def write_pages() -> None:
     blocks = {name: summary.markdown() for name, summary in known.items()} | {"targets": targets(known)}
     if (robots := known.get("robots")) and robots.rounds:
         blocks["rivals"] = rivals(robots.rounds)
-    for name, each in known.items():
-        draw(RESULTS / f"{name}.png", each.drawn)
     for path in (REPO / "docs/results.md", REPO / "README.md"):
 
         def written(match: re.Match[str]) -> str:
