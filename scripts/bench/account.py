@@ -191,4 +191,5 @@ class Account:
                 if number not in came:
                     is_beside = any(begin_s < at_s < over_s for begin_s, over_s in spans)
                     beside, otherwise = beside + is_beside, otherwise + (not is_beside)
-        return {"beside": beside, "otherwise": otherwise, "flows again s": max(again_s), "never again": never_again}
+        missing = {"missing beside a break": beside, "missing otherwise": otherwise}
+        return {**missing, "flows again s": max(again_s), "never again": never_again}

@@ -13,6 +13,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from arpd.model.errors import ArpdError
 from scripts.bench.report import REPO
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-class ChildError(Exception):
+class ChildError(ArpdError):
     """A child has ended, or does not answer."""
 
 

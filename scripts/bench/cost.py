@@ -70,8 +70,8 @@ def staged(topics: int, span_s: float, **options: Any) -> dict[str, Any]:
     return {
         "topics": topics,
         **reaction,
+        "ticks": ticks,
         "late ticks": late,
-        "of": ticks,
         "lost %": 100.0 * lost / max(1, sent),
         "latency p50 ms": _middle(account, "p50_ms"),
         "latency p99 ms": _middle(account, "p99_ms"),
@@ -109,8 +109,8 @@ def _reaction(world: World) -> dict[str, Any]:
 def _reactions(run: dict[str, Any], what: str) -> list[Figure]:
     return [
         figure(f"{what}: budget after 20 → 5 Mbit/s", run["budget s"], "s", most=0.5),
-        figure(f"{what}: planned", run["planned"], least=run["topics"]),
-        figure(f"{what}: late ticks", 100.0 * run["late ticks"] / max(1, run["of"]), "%", most=1.0),
+        figure(f"{what}: planned", run["planned"], "topics", least=run["topics"]),
+        figure(f"{what}: late ticks", 100.0 * run["late ticks"] / max(1, run["ticks"]), "%", most=1.0),
     ]
 
 
@@ -130,13 +130,14 @@ def play_topics(*, is_quick: bool, rounds: int = 1) -> Summary:
         rest, carried, _ = rows[-3:]
         figures += [
             figure(f"{what}: CPU of run, all carried", carried["run %"], "%", most=MOST_CPU[run["topics"]]),
-            figure(f"{what}: memory of run", carried["run MiB"], "MiB", most=100 if run["topics"] == 12 else None),
+            *([figure(f"{what}: memory of run", carried["run MiB"], "MiB", most=100)] if run["topics"] == 12 else []),
             figure(f"{what}: of the link at rest", 100.0 * rest["link Mbit/s"] * MBIT / FAST, "%", most=1.0),
             *_reactions(run, what),
         ]
     return Summary(
         about="The relay has two ends. CPU in percent of one core, memory in MiB, the link's Mbit/s both ways; it "
-        "has 20, in *paced* 5 Mbit/s. Then: after 20 → 5 Mbit/s.",
+        "has 20, in *paced* 5 Mbit/s. Then, after 20 → 5 Mbit/s: topics planned, and when budget and plan follow; then "
+        "ticks and samples of the whole run, latency of the topic in the middle.",
         figures=figures,
         tables=[table("", rows), table("", runs)],
     )
@@ -181,7 +182,7 @@ def _relayed(size: int, topics: int, rate_hz: float, side: str, seconds: float) 
         account, spent = world.play([(0.0, _GIGABIT, 0.0)], seconds)
     published, delivered = (sum(row[key] for row in account.topics.values()) for key in ("published", "delivered"))
     near, far = (1e6 * spent["cpu_s"].get(name, 0.0) / max(1, delivered) for name in ("relay", "relay_far"))
-    return near + far, f"{near:.0f} + {far:.0f}", _middle(account, "p50_ms"), published - delivered
+    return near + far, f"{near:,.0f} + {far:,.0f}", _middle(account, "p50_ms"), published - delivered
 
 
 def play_relay(*, is_quick: bool, rounds: int = 1) -> Summary:
@@ -198,7 +199,7 @@ def play_relay(*, is_quick: bool, rounds: int = 1) -> Summary:
         lost = plain[3] + bare[3] + one[3] + two[3]
         rows.append({"bytes": size, "topics": topics, "Hz": rate_hz, **cpu, **added, "lost": lost})
         what = f"{size:,} B, {topics} topics: CPU of one end over that of a bare relay"
-        figures.append(figure(what, one[0] / max(1e-9, bare[0]), most=1.1))
+        figures.append(figure(what, one[0] / max(1e-9, bare[0]), "×", most=1.1))
     return Summary(
         about="CPU in µs per message, of two ends robot + base; latency in ms (p50) beyond that of no relay. The link "
         "carries 1 Gbit/s. CPU contains what a relay spends at rest.",

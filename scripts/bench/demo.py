@@ -7,7 +7,7 @@ from pathlib import Path
 
 from arpd.sim.schedule import RateSchedule
 from scripts.bench.report import Summary, Table
-from scripts.robot.demo import QUICK, TAIL_S, compare
+from scripts.robot.demo import QUICK, TAIL_S, DemoError, compare
 from scripts.robot.report import HEADINGS, row_of
 
 
@@ -18,7 +18,7 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     with tempfile.TemporaryDirectory(prefix="arpd-bench-demo-") as logs:
         pairs = compare(Path(logs), schedule, schedule.duration_s + TAIL_S[QUICK])
     if not all(pair.with_arpd.received for pair in pairs):
-        raise SystemExit("demo: nothing arrived on some topic with arpd")
+        raise DemoError("nothing arrived on some topic with arpd")
     return Summary(
         about=f"rclpy's defaults (RELIABLE, KEEP_LAST 10) → arpd, link {QUICK}.",
         tables=[Table(columns=list(HEADINGS), rows=list(map(row_of, pairs)))],

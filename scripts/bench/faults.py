@@ -171,7 +171,7 @@ def played(side: str, minutes: float, seed: int) -> dict[str, Any]:
     breaks = [(account.from_s + begin_s, account.from_s + over_s) for begin_s, over_s in story.breaks]
     rows = []
     for name, row in account.topics.items():
-        counts = {key: row[key] for key in ("published", "delivered", "doubled", "out_of_order")}
+        counts = {key.replace("_", " "): row[key] for key in ("published", "delivered", "doubled", "out_of_order")}
         rows.append(
             {"side": side, "topic": name, **counts, **account.missing(name, breaks), "longest gap s": row["gap_s"]}
         )
@@ -190,9 +190,11 @@ def played(side: str, minutes: float, seed: int) -> dict[str, Any]:
     came = [{row[1] for row in account.arrivals[name]} for name in SETS]
     known = [value for value in story.planned_s if value is not None]
     counted = {
-        "lost of what nobody may thin, beside no break": sum(row["otherwise"] for row in rows if row["topic"] in _KEPT),
-        "doubled": sum(row["doubled"] for row in rows),
-        "out of order": sum(row["out_of_order"] for row in rows),
+        "samples lost that nobody may thin, beside no break": sum(
+            row["missing otherwise"] for row in rows if row["topic"] in _KEPT
+        ),
+        "samples doubled": sum(row["doubled"] for row in rows),
+        "samples out of order": sum(row["out of order"] for row in rows),
         "topics that never flow again": sum(row["never again"] for row in rows),
         "sets that came in part": len(set.union(*came) - set.intersection(*came)) if robot.groups else 0,
         "calls answered twice, wrong or run twice": calls["answered twice"] + calls["wrong"] + calls["ran twice"],
@@ -216,10 +218,7 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     return Summary(
         about=f"{minutes:g} minutes each with the relay's two ends and with AdaptivePublishers. "
         f"{'; '.join(run['events'] for run in runs)}. Missing: beside a break, and otherwise, "
-        "with what pacing withheld.",
+        "with what pacing withheld. A topic flows again so long after the end of a break.",
         figures=every("figures"),
-        tables=[
-            table("", every("topics")),
-            table("Calls from the base, one after the other", every("calls")),
-        ],
+        tables=[table("", every("topics")), table("Calls from the base, one after the other", every("calls"))],
     )

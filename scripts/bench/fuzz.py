@@ -12,9 +12,11 @@ import re
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from typing import Any
 
-from scripts.bench.report import REPO, Summary, figure, table
+from arpd.model.errors import ArpdError
+from scripts.bench.report import REPO, Summary, figure, picked, table
 
 #: By reader: module and name of its test, which takes nothing but what Hypothesis draws.
 READERS = {
@@ -29,6 +31,7 @@ READERS = {
     "sign": ("relay.test_flight", "test_a_sign_arrives_as_it_was_sent_or_is_refused"),
     "discovery": ("host.test_discovery", "test_no_packet_raises"),
 }
+chosen = partial(picked, READERS)
 _SECONDS, _QUICK_S = 15.0, 2.0
 _INSTRUMENTED = ["arpd", "yaml", "json"]
 _LIMITS = ("-max_len=4096", "-rss_limit_mb=2048", "-timeout=30", "-print_final_stats=1")
@@ -61,7 +64,7 @@ def fuzz(reader: str, seconds: float) -> dict[str, Any]:
         done = subprocess.run(command, cwd=REPO, capture_output=True, text=True, errors="replace", check=False)
     found = {column: pattern.findall(done.stderr) for column, pattern in _PRINTED.items()}
     if not found["inputs"]:
-        raise SystemExit(f"fuzz: {reader} did not run\n{done.stderr[-2000:]}")
+        raise ArpdError(f"fuzz: {reader} did not run\n{done.stderr[-2000:]}")
     if done.returncode:
         print(f"{done.stdout[-2000:]}\n{reader}: repeat it with pytest tests/unit -k {READERS[reader][1]}")
     numbers = {column: int(values[-1]) if values else None for column, values in found.items()}
@@ -70,7 +73,7 @@ def fuzz(reader: str, seconds: float) -> dict[str, Any]:
 
 def play(*, is_quick: bool, only: str = "", rounds: int = 1) -> Summary:
     """Fuzz one reader after the other."""
-    rows = [fuzz(name, _QUICK_S if is_quick else _SECONDS * rounds) for name in READERS if only in name]
+    rows = [fuzz(name, _QUICK_S if is_quick else _SECONDS * rounds) for name in chosen(only)]
     inputs = sum(row["inputs"] for row in rows)
     return Summary(
         about="Each reader of outside input, guided by coverage.",

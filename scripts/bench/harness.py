@@ -7,6 +7,7 @@ import platform
 import subprocess
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import psutil
@@ -29,10 +30,11 @@ def conditions() -> dict[str, Any]:
         return ""
 
     tree = ("arpd", "scripts", ":!scripts/bench/results")
+    files = [each for each in git("ls-tree", "-r", "HEAD", *tree[:2]).splitlines() if "/bench/results/" not in each]
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "commit": git("rev-parse", "HEAD")[:12],
-        "tree": git("log", "-1", "--format=%H", "--", *tree)[:12],  # the commit that last changed what is measured
+        "tree": sha256("\n".join(files).encode()).hexdigest()[:12] if files else "",  # of all that is measured
         "is_modified": bool(git("status", "--porcelain", "--untracked-files=no", "--", *tree)),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "load": round(os.getloadavg()[0], 1),

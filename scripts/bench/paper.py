@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import random
-import sys
 from dataclasses import dataclass, replace
 from itertools import product
 from statistics import median
@@ -133,13 +132,17 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     """Play every configuration, in random order in each round."""
     wanted = cells(is_quick=is_quick, is_full=rounds > 1)
     runs: dict[Cell, list[dict[str, Any]]] = {cell: [] for cell in wanted}
+    failed: list[list[str]] = []
     for number in range(rounds):
         for cell in random.Random(number).sample(wanted, len(wanted)):
             try:
                 runs[cell].append(measured(cell, 2.0 if is_quick else SECONDS))
             except ChildError as error:
-                print(f"{cell}: {error}", file=sys.stderr)
-    return summary({cell: found for cell, found in runs.items() if found})
+                about = f"DEPTH {cell.depth} at {cell.rate_hz:g} Hz"
+                failed.append([cell.link, f"{cell.payload} B", about, cell.heartbeat or cell.side.name, str(error)])
+    found = summary({cell: found for cell, found in runs.items() if found})
+    found.failed = failed
+    return found
 
 
 def summary(runs: dict[Cell, list[dict[str, Any]]]) -> Summary:

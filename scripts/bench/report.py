@@ -12,16 +12,21 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from arpd.model.errors import UsageError
+
 REPO = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).parent / "results"
 _WIDTH = 130
 _MOST_ROWS = 12  # of a table that is not folded
+_LEAST = 1e-6  # below it a number is what rounding left
 _BLOCK = re.compile(r"(?P<begin><!-- (?P<name>[\w-]+):begin -->\n).*?(?P<end><!-- (?P=name):end -->\n)", re.DOTALL)
+CELL = ("robot", "link", "bottleneck", "side")  # name a round
 #: Head of a column, and the value of a row: its key, or a function; a key alone is its own head.
 Column = str | tuple[str, str | Callable[[Any], Any]]
 
@@ -86,6 +91,7 @@ class Summary:
     ----------
     about : how it was measured, in sentences
     conditions : when, at which commit, on what and under which load; one for each part that was measured apart
+    failed : rounds without figures: what each played, and why
     rounds : what each round found, of which another module makes the rest; no page shows it
     drawn : what the picture beside the summary shows, and no page; see `draw`
     """
@@ -94,6 +100,7 @@ class Summary:
     figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     conditions: list[dict[str, Any]] = field(default_factory=list)
+    failed: list[list[Any]] = field(default_factory=list)
     rounds: Table | None = None
     drawn: Table | None = None
 
@@ -108,37 +115,40 @@ class Summary:
         return cls(
             about=found["about"],
             conditions=found["conditions"],
+            failed=found.get("failed", []),
             figures=[Figure(**each) for each in found["figures"]],
             tables=[Table(**each) for each in found["tables"]],
             **{name: Table(**found[name]) for name in ("rounds", "drawn") if found.get(name)},
         )
 
-    def with_part(self, part: Summary, made: Callable[..., Summary], *, names: int) -> Summary:
+    def with_part(self, part: Summary, made: Callable[..., Summary]) -> Summary:
         """Return it with a part that was measured again, made anew of the rounds of both.
 
         Conditions of which no round is left go.
-
-        Parameters
-        ----------
-        made : makes a summary of rounds
-        names : so many cells of a round name it
         """
-        if not self.rounds or not part.rounds or self.rounds.columns != part.rounds.columns:
+        if not self.rounds or not part.rounds:
             return part
-        again = {tuple(row[:names]) for row in part.rounds.rows}
-        rows = [row for row in self.rounds.rows if tuple(row[:names]) not in again] + part.rounds.rows
-        noted = self.conditions + part.conditions
-
-        def last_of(row: str) -> int:
-            return max(at for at, each in enumerate(noted) if re.search(each.get("of", ""), row))
-
-        whole = made(replace(part.rounds, rows=rows), drawn=_joined(self.drawn, part.drawn))
-        whole.conditions = [noted[at] for at in sorted({last_of(" ".join(row[:names])) for row in rows})]
+        rounds = part.rounds if part.rounds.rows else self.rounds  # without a round there are no columns
+        if self.rounds.rows and self.rounds.columns != rounds.columns:
+            return part
+        again = {name_of(row) for row in part.rounds.rows + part.failed}
+        rows, failed = (
+            [row for row in old if name_of(row) not in again] + new
+            for old, new in ((self.rounds.rows, part.rounds.rows), (self.failed, part.failed))
+        )
+        whole = made(replace(rounds, rows=rows), drawn=_joined(self.drawn, part.drawn))
+        whole.failed, whole.conditions = failed, self.conditions + part.conditions
+        left = {id(whole.conditions_of(name_of(row))) for row in rows + failed}
+        whole.conditions = [each for each in whole.conditions if id(each) in left]
         return whole
+
+    def conditions_of(self, name: str) -> dict[str, Any]:
+        """Return the conditions of the last part whose regular expression is found in the name of a round."""
+        return next((each for each in reversed(self.conditions) if re.search(each.get("of", ""), name)), {})
 
     def markdown(self) -> str:
         """Return it for a page, without the figures that have a target; long tables are folded."""
-        parts = [self.about, _said(self.conditions)]
+        parts = [self.about, _said(self.conditions), _failures(self.failed)]
         parts.append(_figures([("", each) for each in self.figures if each.target is None]))
         for table in self.tables:
             rows = _markdown(table.columns, [list(map(shown, row)) for row in table.rows])
@@ -147,6 +157,11 @@ class Summary:
             else:
                 parts += [f"{table.title}:" if table.title else "", rows]
         return "\n\n".join(filter(None, parts))
+
+
+def name_of(row: Sequence[Any]) -> str:
+    """Return robot, link, bottleneck and side of a round."""
+    return " ".join(row[: len(CELL)])
 
 
 def _joined(old: Table | None, new: Table | None) -> Table | None:
@@ -186,16 +201,28 @@ def _said(conditions: Iterable[dict[str, Any]]) -> str:
     return " ".join(sentences)
 
 
+def _failures(failed: Iterable[Sequence[Any]]) -> str:
+    """Return which rounds have no figures, and why."""
+    rounds = [f"{', '.join(map(str, names))} ({why})" for *names, why in failed]
+    return f"**Rounds without figures**, because a process failed: {'; '.join(rounds)}." if rounds else ""
+
+
 def _figures(named: Sequence[tuple[str, Figure]]) -> str:
     """Return a table of figures and their scenarios, without the columns that none of them has."""
     figures = [each for _, each in named]
+
+    def told(each: Figure) -> tuple[str, str]:
+        """Return value and target, which look different where the target is missed."""
+        found = "never" if each.value is None else shown(each.value), shown(each.target)
+        return found if each.is_met or len({*found}) > 1 else (f"{each.value:g}", f"{each.target:g}")
+
     columns = {
         "scenario": [name for name, _ in named],
         "figure": [each.what for each in figures],
-        "value": [shown(each.value) if each.is_met else f"**{shown(each.value)}**" for each in figures],
+        "value": [told(each)[0] if each.is_met else f"**{told(each)[0]}**" for each in figures],
         "bound": ["" if each.bound is None else shown(each.bound) for each in figures],
         "target": [
-            "" if each.target is None else f"{'≥' if each.at_least else '≤'} {shown(each.target)}" for each in figures
+            "" if each.target is None else f"{'≥' if each.at_least else '≤'} {told(each)[1]}" for each in figures
         ],
         "unit": [each.unit for each in figures],
     }
@@ -204,12 +231,12 @@ def _figures(named: Sequence[tuple[str, Figure]]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a number with three digits or all before its point, a text as it is, a dash for None."""
+    """Return a number with three digits or all before its point, 0 for what rounding left, a dash for None."""
     if value is None:
         return "–"
     if not isinstance(value, float):
         return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return f"{value:,.0f}" if abs(value) >= 100 or abs(value) < _LEAST else f"{value:.3g}"
 
 
 def table(title: str, rows: Iterable[Any], *columns: Column) -> Table:
@@ -238,6 +265,15 @@ def ranged(values: Iterable[Any]) -> str | None:
         return f"never in {len(every) - len(known)} of {len(every)}"
     least, middle, most = (shown(_short(float(each))) for each in (known[0], median(known), known[-1]))
     return middle if least == most else f"{middle} ({least}–{most})"
+
+
+def picked(names: Iterable[str], only: str, *, there_are: str = "") -> list[str]:
+    """Return the names in which a regular expression is found, of which there must be one."""
+    names = list(names)
+    with suppress(re.error):
+        if found := [name for name in names if re.search(only, name)]:
+            return found
+    raise UsageError(f"--only {only!r} picks nothing; there are {there_are or '; '.join(names)}")
 
 
 def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -274,9 +310,19 @@ RIVALS = {
 }
 
 
+def by_place(rounds: Table) -> dict[tuple[str, ...], dict[str, dict[str, list[Any]]]]:
+    """Return what the rounds found, by robot, link and bottleneck, then by side, then by column."""
+    found: dict[tuple[str, ...], dict[str, dict[str, list[Any]]]] = {}
+    for robot, link, bottleneck, side, *values in rounds.rows:
+        columns = found.setdefault((robot, link, bottleneck), {}).setdefault(side, {})
+        for key, value in zip(rounds.columns[len(CELL) :], values, strict=True):
+            columns.setdefault(key, []).append(value)
+    return found
+
+
 def rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> str:
     """Return what a robot's sides carry and how late, with the bottleneck at the sender / between the hosts."""
-    rows = [dict(zip(rounds.columns, row, strict=True)) for row in rounds.rows if row[:2] == [robot, link]]
+    places = by_place(rounds)
     heads = {
         "pictures/s": "large/s",
         "small samples, p99 ms": "small p99 ms",
@@ -286,8 +332,7 @@ def rivals(rounds: Table, robot: str = "tb4", link: str = "fall-and-rise") -> st
 
     def both(side: str, column: str) -> str:
         found = (
-            [row[column] for row in rows if row["side"] == side and row["bottleneck"] == bottleneck]
-            for bottleneck in ("sender", "middle")
+            places.get((robot, link, bottleneck), {}).get(side, {}).get(column) for bottleneck in ("sender", "middle")
         )
         return " / ".join("never" if None in each else shown(float(median(each))) for each in found if each)
 

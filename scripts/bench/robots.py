@@ -9,7 +9,6 @@ rest. Camera infos are in no class, because they are of no use without their ima
 
 from __future__ import annotations
 
-import re
 import sys
 from dataclasses import replace
 from functools import partial
@@ -28,7 +27,7 @@ from arpd.solve.topics import Traffic, rows_of_traffic
 from scripts.bench.account import AGE_S, Account
 from scripts.bench.child import ChildError
 from scripts.bench.links import DURATION_S, MBIT, STALL_S, Course, at, links
-from scripts.bench.report import RIVALS, Figure, Summary, Table, figure, ranged, table
+from scripts.bench.report import CELL, RIVALS, Figure, Summary, Table, by_place, figure, picked, ranged, table
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import PREFIX, SIDES, Robot, Service
 from scripts.bench.world import world_of
@@ -140,46 +139,48 @@ ROBOTS = {
     **{name: Robot(topics=topics, **_MORE.get(name, {})) for name, topics in _TOPICS.items()},
     "demo": demo_robot(),
 }
+_ZENOH = "two ends over Zenoh, without services: a priority per class"
 #: Sides by name, and what each is in words.
 WAYS = {
     "plain": "rclpy's defaults",
-    "large_data": "the same with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
-    "large_data_bbr": "the same with TCP's congestion control BBR instead of cubic, which Debian and Ubuntu have",
+    "large_data": "plain with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA, and a private /dev/shm for each process",
+    "large_data_bbr": "large_data with TCP's congestion control BBR instead of cubic, which Debian and Ubuntu have",
     "profile": "rclpy's defaults, no IP fragments, and a heartbeat every 50 ms (arpd's Fast DDS profile)",
     "throttle": "rclpy's defaults, topics throttled to what `arpd solve` gives for the link's slowest tenth",
     "adaptive": "AdaptivePublishers in the nodes, with arpd's Fast DDS profile",
-    "adaptive_tcp": "the same with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
-    "zenoh": "two ends over Zenoh, without services: a priority per class; large samples wait for their turn",
-    "zenoh_drop": "the same, but large samples are dropped where the queue is full (congestion control drop)",
-    "zenoh_first": "the same, but large samples are dropped while one waits (congestion control block_first)",
-    "zenoh_bbr": "the same with TCP's congestion control BBR",
+    "adaptive_tcp": "adaptive with LARGE_DATA for every process, and one /dev/shm per host, as in real life",
+    "zenoh": f"{_ZENOH}; large samples wait for their turn",
+    "zenoh_drop": f"{_ZENOH}; large samples are dropped where the queue is full (congestion control drop)",
+    "zenoh_first": f"{_ZENOH}; large samples are dropped while one waits (congestion control block_first)",
+    "zenoh_bbr": f"{_ZENOH}; large samples wait for their turn, TCP has BBR",
     "two_ends": "arpd: plain nodes that stay on their hosts, and the relay's two ends",
-    "bound": "the same, told the mean of the link's next 0.2 s at every tick",
+    "bound": "two_ends, told the mean of the link's next 0.2 s at every tick",
 }
 _OTHERS = frozenset(WAYS) - {"adaptive", "adaptive_tcp", "two_ends", "bound"}
-#: What a run without --only or --full plays, with these sides: robot, link, bottleneck.
-_USUAL: tuple[tuple[str, str, Bottleneck], ...] = (
-    ("tb4", "fall-and-rise", "sender"),
-    ("tb4", "fall-and-rise", "middle"),
-    ("outdoor", "fall-and-rise", "sender"),
-    ("demo", "wifi-walk", "middle"),
+_USUAL = (
+    "tb4 fall-and-rise sender",
+    "tb4 fall-and-rise middle",
+    "outdoor fall-and-rise sender",
+    "demo wifi-walk middle",
 )
-_USUAL_SIDES = ("plain", "large_data", "large_data_bbr", "zenoh_first", "two_ends")
-USUAL_CELLS = tuple((*place, side) for place in _USUAL for side in _USUAL_SIDES)
+#: What a run without --only or --full plays, a part after the other: of each place, five sides.
+USUAL_PARTS = tuple(f"^{place} (plain|large_data|large_data_bbr|zenoh_first|two_ends)$" for place in _USUAL)
+_QUICK = "^tb4 fall-and-rise middle two_ends$"
 ROUNDS = 3
-#: What arpd should reach of the worst round of a rival: its share, what is added to that, and whether it is the least.
-_AIMS: dict[str, tuple[float, float, bool]] = {
-    "small %": (1.0, 0.0, True),
-    "small p99 ms": (1.0, 0.0, False),
-    "small gap beyond its period s": (1.0, 0.0, False),
-    "commands p99 ms": (1.0, 10.0, False),
-    "commands max ms": (1.0, 10.0, False),
-    "large/s": (0.9, 0.0, True),
-    "large age p99 s": (1.0, 0.0, False),
-    "whole sets/s": (0.9, 0.0, True),
-}
+#: What arpd should reach of the worst round of a rival: the column, what it has in words, its unit, the share of the
+#: rival's, what is added to that, and whether it is the least.
+_AIMS: tuple[tuple[str, str, str, float, float, bool], ...] = (
+    ("small %", "small samples delivered", "%", 1.0, 0.0, True),
+    ("small p99 ms", "latency of small samples, p99", "ms", 1.0, 0.0, False),
+    ("small gap beyond its period s", "longest gap of small samples, less their period", "s", 1.0, 0.0, False),
+    ("commands p99 ms", "latency of commands, p99", "ms", 1.0, 10.0, False),
+    ("commands max ms", "latency of commands, longest", "ms", 1.0, 10.0, False),
+    ("large/s", "large samples delivered", "/s", 0.9, 0.0, True),
+    ("large age p99 s", "age of large samples, p99", "s", 1.0, 0.0, False),
+    ("whole sets/s", "whole sets delivered", "/s", 0.9, 0.0, True),
+)
 FAULTS = ("doubled", "torn", "out_of_order", "never matched")
-CELL = ("robot", "link", "bottleneck", "side")
+Cell = tuple[str, str, Bottleneck, str]
 #: The robot, link, bottleneck and topic of the picture.
 _SHOWN, _SHOWN_TOPIC, _EVERY = ("tb4", "fall-and-rise", "middle"), "/scan", 10
 
@@ -233,23 +234,25 @@ def measured(
     return row, account
 
 
-def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
-    """Play robots, links and bottlenecks, each with every side in turn, for several rounds.
+def chosen(only: str) -> list[Cell]:
+    """Return robot, link, bottleneck and side of what a regular expression picks."""
+    axes: Any = (ROBOTS, _LINKS, get_args(Bottleneck), WAYS)
+    every: dict[str, Cell] = {" ".join(cell): cell for cell in product(*axes)}
+    known = "; ".join(f"{what}s {', '.join(names)}" for what, names in zip(CELL, axes, strict=True))
+    return [every[name] for name in picked(every, only, there_are=f"names as `tb4 ramp middle plain`, of {known}")]
 
-    With ``rounds`` 1 it plays the usual ones, three times; with more, all there are. ``only`` picks those in which this
-    regular expression is found: robot, link, bottleneck and side.
-    """
-    every = product(ROBOTS, _LINKS, get_args(Bottleneck), WAYS)
-    cells = [cell for cell in (USUAL_CELLS if rounds == 1 and not only else every) if re.search(only, " ".join(cell))]
-    found, ages_s = [], {}
-    if is_quick:
-        cells = [("tb4", "fall-and-rise", "middle", "two_ends")]
+
+def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
+    """Play robots, links and bottlenecks, each with every side in turn, for several rounds."""
+    cells, found, failed = chosen(_QUICK if is_quick else only), list[dict[str, Any]](), list[list[str]]()
+    ages_s: dict[str, list[float]] = {}
     for number, (robot, link, bottleneck, side) in product(range(1 if is_quick else max(ROUNDS, rounds)), cells):
         lasts_s = 8.0 if is_quick else 2 * STALL_S if link == "stalled" else DURATION_S
         try:
             row, account = measured(robot, link, bottleneck, side, lasts_s)
         except ChildError as error:
-            print(f"{robot}, {link}, {bottleneck}, {side}: {error}", file=sys.stderr)
+            failed.append([robot, link, bottleneck, side, str(error)])
+            print(*failed[-1], sep=", ", file=sys.stderr)
             continue
         found.append(row)
         if (robot, link, bottleneck) == _SHOWN and number == 0 and side in RIVALS:
@@ -259,24 +262,26 @@ def play(*, is_quick: bool, rounds: int = 1, only: str = "") -> Summary:
         {"s": AGE_S * _EVERY * k, **dict(zip(ages_s, each, strict=True))}
         for k, each in enumerate(zip(*ages_s.values(), strict=True))
     ]
-    return summary_of(table("", found), drawn=table(f"oldest age of {_SHOWN_TOPIC} (s)", lines))
+    summary = summary_of(table("", found), drawn=table(f"oldest age of {_SHOWN_TOPIC} (s)", lines))
+    summary.failed = failed
+    return summary
 
 
 def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
     """Return a table for each place, and arpd beside the best of its rivals, from what each round found."""
-    places: dict[tuple[str, ...], dict[str, dict[str, list[Any]]]] = {}
-    for robot, link, bottleneck, side, *values in rounds.rows:
-        columns = places.setdefault((robot, link, bottleneck), {}).setdefault(side, {})
-        for key, value in zip(rounds.columns[len(CELL) :], values, strict=True):
-            columns.setdefault(key, []).append(value)
+    places = by_place(rounds)
+    played = {side for sides in places.values() for side in sides}
     return Summary(
-        about="Medians, and the range of the rounds. Small: samples up to ten packets. Age: of the newest sample. "
+        about="Medians, and the range of the rounds. Small are samples up to ten packets, large all others, commands "
+        "what the base sends. %: delivered of what was offered, and of the topic that fares worst. p99, max: "
+        "latency of what came. Gap: longest time without a sample of a small topic, less its period. Large age: of "
+        "the newest one at the base. Mbit/s: what the link carried. "
         f"Targets: no worse than the worst round of the best rival that was played {ROUNDS} times, but for 10 ms of "
         "commands and a tenth of the large samples; rounds in which a rival's topics never matched set none.",
         figures=[each for place, sides in places.items() for each in _aims(place, sides)],
         tables=[
+            table("Sides", [{"side": side, "what": what} for side, what in WAYS.items() if side in played]),
             *(_of_place(*each) for each in places.items()),
-            table("Sides", [{"side": side, "what": what} for side, what in WAYS.items()]),
         ],
         rounds=rounds,
         drawn=drawn,
@@ -286,7 +291,7 @@ def summary_of(rounds: Table, *, drawn: Table | None = None) -> Summary:
 def _of_place(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> Table:
     """Return a line for each side, without columns that say nothing."""
     rows = []
-    for side, columns in sides.items():
+    for side, columns in sorted(sides.items(), key=lambda each: [*WAYS].index(each[0])):
         found = {key: ranged(values) for key, values in columns.items() if key not in FAULTS}
         faults = {key.replace("_", " "): max(columns[key]) for key in FAULTS}
         rows.append({"side": side, "rounds": len(columns["small %"]), **found, **faults})
@@ -302,13 +307,13 @@ def _aims(place: tuple[str, ...], sides: dict[str, dict[str, list[Any]]]) -> lis
         if side in _OTHERS and len(columns["small %"]) >= ROUNDS
     }
     found = []
-    for key, (share, more, is_least) in _AIMS.items() if "two_ends" in sides else ():
+    for key, said, unit, share, more, is_least in _AIMS if "two_ends" in sides else ():
         known = {side: columns[key] for side, columns in rivals.items() if None not in columns.get(key, [None])}
         limits = {side: share * (min if is_least else max)(each) + more for side, each in known.items() if each}
         if limits:
             side = (max if is_least else min)(limits, key=lambda name: limits[name])
             ours = sides["two_ends"][key]
             limit = {"least" if is_least else "most": limits[side]}
-            what = f"{', '.join(place)}: {key}, beside {side}"
-            found.append(figure(what, None if None in ours else float(median(ours)), **limit))
+            what = f"{', '.join(place)}: {said}, beside {side}"
+            found.append(figure(what, None if None in ours else float(median(ours)), unit, **limit))
     return found

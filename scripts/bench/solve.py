@@ -123,7 +123,7 @@ def race(count: int, turns: int) -> dict[str, Any]:
                     if name not in programs:
                         off[name] += not np.abs(shares - shares_of("closed form", *problem)).max() <= TOLERANCE
     times = {name: f"{median(each) * 1e3:.3g}, {np.quantile(each, 0.99) * 1e3:.3g}" for name, each in seconds.items()}
-    return {"topics": count, "times": times, "off": off}
+    return {"topics": count, "times": times, "off": off, "answers": turns * TURN}
 
 
 def footprint(backend: Backend) -> tuple[float, float]:
@@ -136,11 +136,12 @@ def footprint(backend: Backend) -> tuple[float, float]:
 def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     races = [race(count, turns * rounds) for count, turns in (QUICK if is_quick else TURNS).items()]
     footprints = [(str(backend), *footprint(backend)) for backend in Backend]
+    answers = sum(each["answers"] for each in races)
     off = {name: sum(each["off"][name] for each in races) for name in (PAPER, *LEVELS)}
     return Summary(
         about="CPU time (ms) of a division among N topics, median and 99th percentile.",
         figures=[
-            figure(f"{name}: answers that are off", many, most=None if name == PAPER else 0)
+            figure(f"{name}: answers that are off", many, f"of {answers:,}", most=None if name == PAPER else 0)
             for name, many in off.items()
         ],
         tables=[

@@ -7,7 +7,6 @@ destroy+create too. Then twelve topics are swapped for a minute.
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 from scripts.bench.child import ChildError
@@ -63,7 +62,7 @@ def measured(way: str, loss: float, topics: tuple[Topic, ...], seconds: float) -
 
 def play(*, is_quick: bool, rounds: int = 1) -> Summary:
     """Play every way on every link, then swap twelve topics."""
-    runs: list[dict[str, Any]] = []
+    runs, failed = list[dict[str, Any]](), list[list[str]]()
     seconds = _EVERY_S * (2.5 if is_quick else _SWAPS * rounds + 0.5)
     for number, (loss, settings) in enumerate((QUICK if is_quick else LINKS).items()):
         topics = tuple(
@@ -75,7 +74,7 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
             try:
                 runs += measured(way, loss, topics, seconds)
             except ChildError as error:
-                print(f"loss {loss:g}, {way}: {error}", file=sys.stderr)
+                failed.append([f"{100 * loss:g} % loss", way, str(error)])
 
     def total(way: str, key: str, *, is_lossy: bool) -> int:
         return sum(run[key] for run in runs if run["way"] == way and (run["loss %"] > 0) == is_lossy)
@@ -99,5 +98,6 @@ def play(*, is_quick: bool, rounds: int = 1) -> Summary:
         about="Writers on one host, a reader on the other. The bound is an AdaptivePublisher whose settings stay; "
         "seen: writers that the reader met beyond the first.",
         figures=figures,
+        failed=failed,
         tables=[table("", [{key: value for key, value in run.items() if key != "MiB more"} for run in runs])],
     )

@@ -127,12 +127,7 @@ class World:
         return account, {"unmatched": unmatched, **spent}
 
     def follow(
-        self,
-        course: Course,
-        from_s: float,
-        seconds: float,
-        *,
-        events: Sequence[tuple[float, Callable[[], None]]] = (),
+        self, course: Course, from_s: float, seconds: float, *, events: Sequence[tuple[float, Callable[[], None]]] = ()
     ) -> dict[str, Any]:
         """Let the link follow its course, and return what it carried and what the processes took."""
         time.sleep(max(0.0, from_s - time.monotonic()))

@@ -27,15 +27,7 @@ from arpd.model.errors import LinkError
 from arpd.model.wire import MTU_BYTES
 from scripts.netns import link_end
 from scripts.netns.link_end import Bucket, Host
-from scripts.netns.namespaces import (
-    HOST_NAMES,
-    HostName,
-    claim,
-    executable,
-    inside,
-    namespace_of,
-    release,
-)
+from scripts.netns.namespaces import HOST_NAMES, HostName, claim, executable, inside, namespace_of, release
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -257,7 +249,10 @@ def available() -> tuple[bool, str]:
 def usable_link(module: str, arguments: Sequence[str]) -> tuple[bool, str]:
     """Return what `available` does; without root, run the module again as root of a user namespace if that works."""
     if os.geteuid() != 0:
-        probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
+        try:
+            probe = subprocess.run(user_namespace_argv(["true"]), capture_output=True, text=True, check=False)
+        except LinkError as error:
+            return False, f"not root, and {error}"
         if probe.returncode != 0:
             return False, f"not root, and user namespaces are refused here ({probe.stderr.strip()})"
         command = user_namespace_argv([sys.executable, "-m", module, *arguments])

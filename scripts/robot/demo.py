@@ -19,7 +19,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
@@ -30,7 +30,7 @@ from arpd.sim.schedule import RateSchedule
 from scripts.bench.robots import demo_robot
 from scripts.bench.sides import SIDES, Side
 from scripts.bench.world import world_of
-from scripts.netns.simlink import usable_link
+from scripts.netns.simlink import Bottleneck, usable_link
 from scripts.robot.proxy import HTTP_PORT, window
 from scripts.robot.report import Pair, as_document, final_table, pair_up, verdict
 
@@ -60,10 +60,12 @@ def parse() -> argparse.Namespace:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="examples:\n  scripts/demo\n  scripts/demo --quick --json\n  scripts/demo --serve\n"
-        '  scripts/demo --schedule "0:10mbit,15:2mbit,40:10mbit"',
+        '  scripts/demo --bottleneck middle --schedule "0:10mbit,15:2mbit,40:10mbit"',
     )
     parser.add_argument("--quick", action="store_true", help="a shorter schedule: the whole demo in about two minutes")
     parser.add_argument("--schedule", help=f"rates of the link over time (default {FULL!r})")
+    about = "samples wait in the sender's own interface, as with Wi-Fi, or between the hosts; default %(default)s"
+    parser.add_argument("--bottleneck", choices=get_args(Bottleneck), default="sender", help=about)
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
     parser.add_argument("--serve", action="store_true", help="keep the robot with arpd running; print the metrics URL")
     return parser.parse_args()
@@ -81,12 +83,12 @@ def main() -> int:
     duration_s = schedule.duration_s + TAIL_S.get(text, 15.0)
     try:
         if args.serve:
-            serve(schedule, duration_s, console)
+            serve(schedule, duration_s, console, args.bottleneck)
             return 0
         _need_link()
         logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
         console.print(f"logs in {logs}", highlight=False, soft_wrap=True)
-        pairs = compare(logs, schedule, duration_s)
+        pairs = compare(logs, schedule, duration_s, args.bottleneck)
     except ArpdError as error:
         console.print(f"scripts/demo: {error}", style="red", highlight=False, soft_wrap=True)
         return error.exit_code
@@ -103,19 +105,19 @@ def main() -> int:
     return 0
 
 
-def compare(logs: Path, schedule: RateSchedule, duration_s: float) -> list[Pair]:
+def compare(logs: Path, schedule: RateSchedule, duration_s: float, bottleneck: Bottleneck = "sender") -> list[Pair]:
     """Run both sides over the real link, one after the other."""
-    return pair_up(
-        _run(SIDES["plain"], logs / "without", schedule, duration_s, "without arpd"),
-        _run(SIDES["two_ends"], logs / "with", schedule, duration_s, "with arpd"),
-    )
+    sides = (("plain", "without"), ("two_ends", "with"))
+    return pair_up(*(_run(SIDES[side], logs / name, schedule, duration_s, bottleneck) for side, name in sides))
 
 
-def _run(side: Side, logs: Path, schedule: RateSchedule, duration_s: float, title: str) -> list[TopicResult]:
+def _run(
+    side: Side, logs: Path, schedule: RateSchedule, duration_s: float, bottleneck: Bottleneck
+) -> list[TopicResult]:
     robot, course = demo_robot(), _course(schedule)
     with (
-        progress(title, total=duration_s) as shown,
-        world_of(robot, replace(side, warm_up_s=0.0), rate=course[0][1], logs=logs) as world,
+        progress(f"{logs.name} arpd", total=duration_s) as shown,
+        world_of(robot, replace(side, warm_up_s=0.0), bottleneck=bottleneck, rate=course[0][1], logs=logs) as world,
     ):
         shown(0.0, "starting the robot")
         times_s = [k * _SHOW_S for k in range(int(duration_s / _SHOW_S))]
@@ -163,7 +165,7 @@ def _result(account: Account, name: str, rate_hz: float) -> TopicResult:
     )
 
 
-def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
+def serve(schedule: RateSchedule, duration_s: float, console: Console, bottleneck: Bottleneck) -> None:
     """Keep the robot with arpd running, the schedule repeating, until Ctrl-C."""
     # A socket stays in the namespace that made it, so this one is reachable from outside a user namespace.
     inherited = os.environ.get(_LISTENER)
@@ -172,10 +174,10 @@ def serve(schedule: RateSchedule, duration_s: float, console: Console) -> None:
     os.environ[_LISTENER] = str(listener.fileno())
     _need_link()
     logs = Path(tempfile.mkdtemp(prefix="arpd-demo-"))
-    course = _course(schedule)
+    course, side = _course(schedule), replace(SIDES["two_ends"], warm_up_s=0.0)
     with (
         suppress(KeyboardInterrupt),
-        world_of(demo_robot(), replace(SIDES["two_ends"], warm_up_s=0.0), rate=course[0][1], logs=logs) as world,
+        world_of(demo_robot(), side, bottleneck=bottleneck, rate=course[0][1], logs=logs) as world,
         ExitStack() as stack,
         window(world.link.robot, HTTP_PORT, listener=listener) as url,
     ):

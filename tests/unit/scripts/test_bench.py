@@ -1,18 +1,22 @@
 """python -m scripts.bench: what it refuses and plays, what counts as measured, and what its fuzzer draws for."""
 
 import importlib
+import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 
 from scripts.bench import __main__ as bench
+from scripts.bench.child import ChildError
 from scripts.bench.fuzz import READERS
 from scripts.bench.harness import conditions
 from scripts.bench.links import links
-from scripts.bench.report import Summary, Table
-from scripts.bench.robots import CELL, ROBOTS, USUAL_CELLS, throttled
+from scripts.bench.report import CELL, Summary, Table
+from scripts.bench.robots import FAULTS, ROBOTS, USUAL_PARTS, chosen, summary_of, throttled
 
 NOW = {"commit": "c2", "tree": "t1", "is_modified": False}
+OLD = NOW | {"tree": "t0"}
 
 
 @pytest.mark.parametrize(
@@ -36,15 +40,74 @@ def test_a_benchmark_is_known_while_what_it_measures_is_the_same(monkeypatch, tm
     assert bench.is_known("demo") is is_known
 
 
-@pytest.mark.parametrize("lacking", [0, 1])
-def test_robots_are_known_once_each_usual_side_was_played(monkeypatch, tmp_path, lacking):
-    """A part alone leaves the others to play; parts that are the whole together do not."""
+@pytest.mark.parametrize(
+    ("lacking", "more", "are_known"),
+    [
+        (0, [], [True, True, True, True]),
+        (1, [], [False, True, True, True]),
+        (0, [OLD | {"of": "demo .* two_ends"}], [True, True, True, False]),
+        (0, [OLD | {"of": "rgbd"}], [True, True, True, True]),
+    ],
+    ids=["all", "one side lacks", "one side is older", "what is not usual is older"],
+)
+def test_robots_are_known_once_each_usual_side_was_played(monkeypatch, tmp_path, lacking, more, are_known):
+    """A side that was not played, or last by another tree, leaves its part to play; a round that failed was played."""
     monkeypatch.setattr(bench, "RESULTS", tmp_path)
     monkeypatch.setattr(bench, "conditions", lambda: NOW)
-    rounds = Table(columns=list(CELL), rows=[list(cell) for cell in USUAL_CELLS[lacking:]])
-    parts = [NOW | {"of": "tb4"}, NOW | {"of": "demo"}]
-    Summary(about="", conditions=parts, rounds=rounds).write(tmp_path / "robots.json")
-    assert bench.is_known("robots") is (not lacking)
+    *rows, last = [list(cell) for part in USUAL_PARTS for cell in chosen(part)]
+    rounds = Table(columns=list(CELL), rows=[*rows[lacking:], ["rgbd", "ramp", "sender", "plain"]])
+    kept = Summary(about="", conditions=[NOW, *more], failed=[[*last, "a node ended"]], rounds=rounds)
+    kept.write(tmp_path / "robots.json")
+    assert [bench.is_known("robots", part) for part in USUAL_PARTS] == are_known
+    assert bench.is_known("robots") is all(are_known)
+
+
+def test_what_is_void_is_played_once_more_and_a_second_usual_measures_nothing(monkeypatch, tmp_path, capsys):
+    """So is what failed; the list then says of each benchmark whether this tree was measured."""
+    played, troubled = [], {("relay", ""), ("robots", USUAL_PARTS[1])}
+
+    @contextmanager
+    def watched():
+        noted = NOW | {"date": "2026-11-27", "machine": "x", "load": 0.1}
+        yield noted
+        if played[-1] in troubled and played.count(played[-1]) == 1:
+            noted["void"] = "another process"
+
+    def play_robots(*, is_quick, only):
+        played.append(("robots", only))
+        rows = [[*cell, 1.0, *[0] * len(FAULTS)] for cell in chosen(only)]
+        return summary_of(Table(columns=[*CELL, "small %", *FAULTS], rows=rows))
+
+    def play_other(name):
+        def play(*, is_quick):
+            played.append((name, ""))
+            if name == "relay" and played.count((name, "")) == 1:
+                raise ChildError("a node ended")
+            return Summary(about="")
+
+        return play
+
+    for name in bench.USUAL:
+        play = play_robots if name == "robots" else play_other(name)
+        monkeypatch.setattr(f"scripts.bench.{bench.SCENARIOS[name][0]}", play)
+    monkeypatch.setattr(bench, "RESULTS", tmp_path)
+    monkeypatch.setattr(bench, "conditions", lambda: NOW)
+    monkeypatch.setattr(bench, "watched", watched)
+    monkeypatch.setattr(bench, "write_pages", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["bench", "usual"])
+    every = [(name, part) for name in bench.USUAL for part in bench.PARTS.get(name, [""])]
+    for more in ([job for job in every if job in troubled], []):
+        assert bench.main() == 0
+        assert played == every + more if more else not played
+        played.clear()
+    capsys.readouterr()
+    monkeypatch.setattr(sys, "argv", ["bench"])
+    bench.main()
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert {name for name, line in lines.items() if "(known: 2026-11-27 at c2)" in line} == {*bench.USUAL}
+    assert {name for name, line in lines.items() if "(never measured)" in line} == bench.SCENARIOS.keys() - {
+        *bench.USUAL
+    }
 
 
 def test_a_throttled_robot_offers_what_it_did_and_a_share_of_it_passes():
@@ -68,9 +131,34 @@ def test_conditions_need_no_git(monkeypatch, tmp_path, path):
     assert (conditions()["commit"], conditions()["tree"], conditions()["is_modified"]) == ("", "", False)
 
 
-@pytest.mark.parametrize(("line", "word"), [("nosuch", "fuzz"), ("solve --only x", "robots"), ("all --only x", "fuzz")])
+def test_a_tree_is_what_is_measured_and_not_the_commit(monkeypatch, tmp_path):
+    """Results that are committed, and a clone without history, leave it; a change of arpd or scripts does not."""
+    monkeypatch.setattr("scripts.bench.harness.REPO", tmp_path)
+    for name in ("arpd/a.py", "scripts/b.py", "scripts/bench/results/c.json"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    trees = []
+    for name in ("arpd/a.py", "scripts/bench/results/c.json", "scripts/b.py"):
+        (tmp_path / name).write_text(name)
+        identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+        for argv in (["init", "-q"], ["add", "-A"], [*identity, "commit", "-q", "--no-verify", "-m", name]):
+            subprocess.run(["git", *argv], cwd=tmp_path, check=True)
+        trees.append(conditions()["tree"])
+    assert trees[0] == trees[1] != trees[2]
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("nosuch", "fuzz"),
+        ("solve --only x", "robots"),
+        ("all --only x", "fuzz"),
+        ("robots --only nosuch", "wifi-walk"),
+        ("estimate --only nosuch", "near zero"),
+        ("fuzz --only (", "snapshot"),
+    ],
+)
 def test_wrong_usage_names_what_there_is(monkeypatch, capsys, line, word):
-    """A benchmark that does not exist, or has no parts, is refused before anything is measured."""
+    """A benchmark or a part that does not exist is refused before anything is measured."""
     monkeypatch.setattr(sys, "argv", ["bench", *line.split()])
     with pytest.raises(SystemExit, match="2"):
         bench.main()

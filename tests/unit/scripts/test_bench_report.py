@@ -1,7 +1,7 @@
 """scripts/bench/report.py: what a summary keeps, and what a page shows first."""
 
-from scripts.bench.report import REPO, RESULTS, Summary, Table, figure, rivals, targets
-from scripts.bench.robots import CELL, FAULTS, summary_of
+from scripts.bench.report import CELL, REPO, RESULTS, Summary, Table, figure, rivals, targets
+from scripts.bench.robots import FAULTS, summary_of
 
 
 def of_rounds(rows, *conditions, never_matched=(), **drawn):
@@ -16,18 +16,39 @@ def of_rounds(rows, *conditions, never_matched=(), **drawn):
 
 def test_a_part_that_is_measured_again_takes_the_place_of_the_first():
     """So do its conditions, where no round of the first is left, and its curves in the picture, beside the others."""
-    plain, arpd, other = (["tb4", "link", "middle", "plain"], ["tb4", "link", "middle", "two_ends"], ["rgbd", *"lms"])
+    plain, arpd, other = (
+        ["tb4", "link", "middle", "plain"],
+        ["tb4", "link", "middle", "two_ends"],
+        ["rgbd", "l", "m", "plain"],
+    )
     kept = of_rounds([[*plain, 1], [*arpd, 1], [*other, 2]], {"of": "tb4 "}, {"of": "rgbd"}, plain=1.0, two_ends=2.0)
     part = of_rounds([[*plain, 3], [*plain, 5], [*arpd, 6]], {"of": "^tb4"}, plain=3.0)
-    again = kept.with_part(part, summary_of, names=4)
+    again = kept.with_part(part, summary_of)
     assert (again.drawn.columns, again.drawn.rows) == (["s", "plain", "two_ends"], [[0.0, 3.0, 2.0]])
-    first, second, _ = again.tables
-    assert (first.title, [row[:3] for row in first.rows]) == ("rgbd, l, m", [["s", 1, "2"]])
+    _, first, second = again.tables
+    assert (first.title, [row[:3] for row in first.rows]) == ("rgbd, l, m", [["plain", 1, "2"]])
     assert (second.title, [row[:3] for row in second.rows]) == (
         "tb4, link, middle",
         [["plain", 2, "4 (3–5)"], ["two_ends", 1, "6"]],
     )
     assert again.conditions == [{"of": "rgbd"}, {"of": "^tb4"}]
+
+
+def test_a_round_without_figures_is_named_until_its_place_is_measured_again(tmp_path):
+    """So are its conditions, also where no round of a part has figures, and the rounds of others stay."""
+    plain, other = (["tb4", "link", "middle", "plain"], ["rgbd", "link", "middle", "plain"])
+    kept = of_rounds([[*plain, 1], [*other, 2]], {"of": "rgbd"}, {"of": "tb4"}, plain=1.0)
+    died = Summary(
+        about="", conditions=[{"of": "^tb4"}], failed=[[*plain, "a node ended"]], rounds=Table(columns=[], rows=[])
+    )
+    both = kept.with_part(died, summary_of)
+    both.write(tmp_path / "robots.json")
+    both = Summary.read(tmp_path / "robots.json")
+    assert ([row[0] for row in both.rounds.rows], both.conditions) == (["rgbd"], [{"of": "rgbd"}, {"of": "^tb4"}])
+    both.conditions = []
+    assert "tb4, link, middle, plain (a node ended)" in both.markdown()
+    whole = both.with_part(of_rounds([[*plain, 3]], {"of": "tb4"}), summary_of)
+    assert (len(whole.rounds.rows), whole.failed) == (2, [])
 
 
 def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
@@ -39,9 +60,9 @@ def test_arpd_is_held_to_the_worst_round_of_the_rival_that_is_hardest_to_beat():
     never = [[*place, "profile", None]] * 3
     found = of_rounds([*rounds, *never, [*place, "throttle", 1], [*place, "two_ends", 6.5]]).figures
     assert [(each.what.split(": ")[1], each.target, each.is_met) for each in found] == [
-        ("small %, beside plain", 7.0, False),
-        ("small p99 ms, beside large_data", 6.0, False),
-        ("large/s, beside plain", 6.3, True),
+        ("small samples delivered, beside plain", 7.0, False),
+        ("latency of small samples, p99, beside large_data", 6.0, False),
+        ("large samples delivered, beside plain", 6.3, True),
     ]
 
 
@@ -52,9 +73,9 @@ def test_a_round_in_which_a_rivals_topics_never_matched_sets_no_target():
     lost = [[*place, "two_ends", 3], [*place, "large_data", 1]]
     found = of_rounds([*rounds, *lost[:1], *lost[1:] * 3], never_matched=[rounds[-1], *lost]).figures
     assert [(each.what.split(": ")[1], each.target, each.value) for each in found] == [
-        ("small %, beside plain", 8.0, 3.0),
-        ("small p99 ms, beside plain", 9.0, 3.0),
-        ("large/s, beside plain", 7.2, 3.0),
+        ("small samples delivered, beside plain", 8.0, 3.0),
+        ("latency of small samples, p99, beside plain", 9.0, 3.0),
+        ("large samples delivered, beside plain", 7.2, 3.0),
     ]
 
 
@@ -79,10 +100,25 @@ def test_all_targets_stand_in_one_list_and_nowhere_else():
     assert ("| seen | 4 |" in section, "| late |" in section, "well" in section) == (True, False, False)
 
 
+def test_a_figure_that_misses_its_target_looks_like_it():
+    """Three digits would show some as met; one that never came has no number."""
+    figures = [
+        figure("part", 99.97, "%", least=100.0),
+        figure("lost", None, "s", most=2.0),
+        figure("off", 6e-12, most=1.0),
+    ]
+    shown = targets({"demo": Summary(about="", figures=figures)})
+    assert "| demo | part | **99.97** | ≥ 100 | % |" in shown
+    assert "| demo | lost | **never** | ≤ 2 | s |" in shown
+    assert "| demo | off | 0 | ≤ 1 |" in shown
+
+
 def test_the_page_is_what_the_summaries_say():
-    """Every kept summary stands in docs/results.md as it is, long tables folded, and the targets of all in one list."""
+    """Every kept summary stands in docs/results.md as it is, and each target of all once, in one list."""
     page = (REPO / "docs/results.md").read_text()
     known = {path.stem: Summary.read(path) for path in sorted(RESULTS.glob("*.json"))}
+    aims = [(name, each.what) for name, one in known.items() for each in one.figures]
+    assert len({*aims}) == len(aims)
     for name, text in {"targets": targets(known), **{name: one.markdown() for name, one in known.items()}}.items():
         _, _, block = page.partition(f"<!-- {name}:begin -->\n")
         assert block.split("<!--")[0].split() == text.split(), name
