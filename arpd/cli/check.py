@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 _TEXT = """\
 Check a configuration file exactly as the daemon does. Every fault is one line, FILE:LINE:COLUMN: KEY: what is wrong;
-what would be right. Without faults it prints the keys that differ from the default. A line with "warning:" is no
-fault: the minimum rates do not fit the link. Exits 0 without faults, 78 with.
+what would be right. Without faults it prints the keys that differ from the default, KEY: default -> value; a topic has
+no minimum rate of its own by default. A line with "warning:" is no fault: the minimum rates do not fit the link. Exits
+0 without faults, 78 with.
 
 examples:
   arpd check                                 checks /etc/arpd/arpd.yaml

@@ -36,7 +36,7 @@ examples:
   arpd doctor --verbose                      what is fine, too
   arpd doctor --json | jq '.checks[] | select(.health == "wrong")'
 
-exit codes: 0 nothing to do (a check may not have been possible), 1 something to do, 2 wrong usage"""
+exit codes: 0 nothing to do (a check may not have been possible), 1 something to do, 2 wrong usage, 78 no such FILE"""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

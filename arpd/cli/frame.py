@@ -143,7 +143,7 @@ class Frame:
 
 def _facts(status: Status, width: int) -> list[Text]:
     """Return everything but courses, log and topics, each fact in two lines at most."""
-    plan, slowed = status.plan, sum(map(_is_slowed, status.topics))
+    plan = status.plan
     confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
     facts = [
         ("traffic", _traffic(status)),
@@ -153,7 +153,6 @@ def _facts(status: Status, width: int) -> list[Text]:
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
         ("lease", lease(status.lease_s) if status.lease_s else ""),
-        ("topics", f"{len(status.topics)}" + (f", {slowed} of them slowed" if slowed else "")),
         ("rmw", status.rmw_refusal),
         *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
     ]
@@ -219,7 +218,6 @@ def _topic_table(topics: Sequence[Topic], width: int) -> Table:
         ("DEPTH", 5, lambda topic: _moving(topic, lambda qos: format_number(qos.depth))),
         ("DEADLINE", 6, lambda topic: _moving(topic, lambda qos: format_period(qos.deadline_ns))),
         ("WITHHELD", 1, _withheld),
-        ("CAUSES", 7, _causes),
         ("LATE", 3, lambda topic: str(topic.confirmed.deadlines_missed or "")),
         ("BOUND BY", 0, _bound_by),
     ]
@@ -252,7 +250,7 @@ def _style(topic: Topic) -> str:
 
 
 def _allowed(topic: Topic) -> str:
-    rate_hz = min(topic.confirmed.paced_rate_hz, topic.confirmed.rate_hz)
+    rate_hz = topic.confirmed.paced_rate_hz
     return format_number(rate_hz) if math.isfinite(rate_hz) else "unpaced"
 
 
@@ -266,10 +264,6 @@ def _withheld(topic: Topic) -> str:
     """Show the share of offered messages that the publisher has withheld since it began."""
     withheld, offered = topic.confirmed.withheld, topic.confirmed.offered
     return format_share(withheld / offered) if offered else str(withheld)
-
-
-def _causes(topic: Topic) -> str:
-    return " ".join(f"{cause}:{many}" for cause, many in topic.confirmed.withheld_by_cause.items() if many)
 
 
 def _bound_by(topic: Topic) -> str:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from arpd.cli.client import connect
-from arpd.cli.options import DEFAULT_URL, Address
+from arpd.cli.options import DEFAULT_URL, Address, config_of
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
 from arpd.host.interface import index_of, likeliest_interface, list_interfaces
@@ -78,13 +78,16 @@ class Here:
         return listen(self.interface, domain_id, duration_s=self._options.listen)
 
     def _configuration(self) -> tuple[Settings, list[str] | None]:
-        """Return the settings, and the faults of their file, None where it cannot be read."""
-        if not os.access(self.config_path, os.R_OK):
+        """Return the settings, and the faults of their file, None where it cannot be read; raise where it is a typo."""
+        is_there = os.access(self.config_path, os.F_OK)
+        if config_of(self._options) is None or (is_there and not os.access(self.config_path, os.R_OK)):
             return Settings(), None
         interfaces = None if self.is_far else list_interfaces
         try:
             return load_settings(self.config_path, interfaces=interfaces, local_domain=local_domain()), []
         except ConfigError as error:
+            if not is_there:
+                raise
             return Settings(), error.faults
 
     def _ask(self) -> Status | NotKnownError:

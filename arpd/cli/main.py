@@ -9,10 +9,10 @@ import os
 import re
 import sys
 from importlib import import_module
-from io import TextIOWrapper
+from io import BufferedWriter, FileIO, TextIOWrapper
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from arpd import __version__
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, NoAnswerError, RosUnavailableError
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
-_UNWRITTEN = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}  # nothing but standard output is written
 # What stands for a character that a terminal lacks; as wide, for tables.
 _PLAIN = str.maketrans("…→≤≥−·µ±▁▂▃▄▅▆▇█", "~><>-.u~_.:-=+*#")
 COMMANDS = {
@@ -76,15 +75,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return RosUnavailableError.exit_code
     except KeyboardInterrupt:
         return _INTERRUPTED
-    except OSError as error:
+    except _OutputError as error:
         return _unwritten(error)
     return code
 
 
-def _unwritten(error: OSError) -> int:
-    """Say that standard output took no more, or raise what was no fault of its."""
-    if error.errno not in _UNWRITTEN:
-        raise error
+class _OutputError(OSError):
+    """Fault of standard output; one of a file has the same number."""
+
+
+class _Output(FileIO):
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise _OutputError(error.errno, error.strerror) from None
+
+
+def _unwritten(error: _OutputError) -> int:
     output = Path(f"/proc/self/fd/{sys.stdout.fileno()}").readlink()
     # The interpreter flushes stdout at exit, which must not raise again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -95,7 +103,7 @@ def _unwritten(error: OSError) -> int:
 
 
 def _write_plainly() -> None:
-    """Let no stream be missing where it is closed, or refuse a character that its encoding lacks."""
+    """Let no stream be missing where it is closed, or refuse a character that its encoding lacks; name its faults."""
 
     def plain(error: UnicodeError) -> tuple[str, int]:
         assert isinstance(error, UnicodeEncodeError)
@@ -105,9 +113,12 @@ def _write_plainly() -> None:
     codecs.register_error("plain", plain)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
-        setattr(sys, name, stream)
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="plain")
+        setattr(sys, name, stream)
+    if (usual := sys.__stdout__) is sys.stdout and usual is not None:  # the process's own
+        output = BufferedWriter(_Output(usual.fileno(), "wb", closefd=False))
+        sys.stdout = TextIOWrapper(output, usual.encoding, "plain", line_buffering=usual.line_buffering)
 
 
 def run_executable() -> int:

@@ -7,6 +7,7 @@ import argparse
 from arpd.cli.options import Command, add_config, config_of
 from arpd.model.quantities import printable
 from arpd.ros.names import is_full_name
+from arpd.ros.rmw import require_middleware
 
 _LEVELS = ("debug", "info", "warning", "error")
 _RUN = """\
@@ -54,6 +55,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     from arpd.daemon.run import run_daemon
 
+    require_middleware()
     return run_daemon(config_path=options.config, log_level=options.log_level)
 
 
@@ -74,6 +76,7 @@ def _node_name(word: str) -> str:
 
 
 def _relay(options: argparse.Namespace) -> int:
+    require_middleware()
     from arpd.relay.main import run_relay
 
     return run_relay(
@@ -89,6 +92,7 @@ def _add_peer(parser: argparse.ArgumentParser) -> None:
 
 
 def _peer(options: argparse.Namespace) -> int:
+    require_middleware()
     from arpd.ros.peer import run_peer
 
     config = config_of(options)

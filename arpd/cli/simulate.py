@@ -138,7 +138,7 @@ def _simulate(options: argparse.Namespace) -> int:
         "ways     arpd; without it (rclpy's defaults, unpaced); arpd with an oracle for its estimator",
         f"runs     {format_duration(duration_s)} each, seed {options.seed}",
     ]
-    show(*map(Text, head), "", fitted(_overall(summaries)))
+    show(*map(Text, head), "", fitted(_overall(summaries), ranks=(0, 0, 2, 1)))
     rates: Figures = {
         "DELIVERED, HZ": lambda topic: topic.received / duration_s,
         "LOST, %": lambda topic: 100 * topic.loss_ratio,
@@ -206,17 +206,17 @@ def _overall(summaries: Mapping[Way, Summary]) -> Sequence[Sequence[str]]:
     """Return the ways side by side, from the end of the warm-up on."""
     best = summaries[Way.ORACLE].goodput_bytes_per_second
     rows: dict[str, Callable[[Summary], float | None]] = {
-        "payload delivered, Mbit/s": lambda way: way.goodput_bytes_per_second / _MBIT,
+        "delivered, Mbit/s": lambda way: way.goodput_bytes_per_second / _MBIT,
         "of the oracle's, %": lambda way: 100 * way.goodput_bytes_per_second / best if best else None,
         "of the link carried, %": lambda way: 100 * way.carried_share,
         "budget, mean, Mbit/s": lambda way: _times(1 / _MBIT, way.budget_mean_bytes_per_second),
         "longest queue, ms": lambda way: 1e3 * way.queue_peak_s,
         "99 % of queues below, ms": lambda way: 1e3 * way.queue_p99_s,
-        "estimate off by, median, %": lambda way: _times(100, way.error_median),
-        "estimate off by, p90, %": lambda way: _times(100, way.error_p90),
+        "estimate off, median, %": lambda way: _times(100, way.error_median),
+        "estimate off, p90, %": lambda way: _times(100, way.error_p90),
         "plans per minute": lambda way: way.plans_per_minute,
         "QoS swaps per minute": lambda way: way.swaps_per_minute,
-        "probes and reports, % of link": lambda way: 100 * way.measuring_share,
+        "measuring, % of link": lambda way: 100 * way.measuring_share,
     }
     titles = [f"FROM {WARM_UP_S:g} S ON", *(way.upper() for way in summaries)]
     return [
@@ -226,19 +226,20 @@ def _overall(summaries: Mapping[Way, Summary]) -> Sequence[Sequence[str]]:
 
 
 def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Table:
-    """Return figures per topic over the whole run, three ways each; a narrow terminal shows arpd's alone."""
+    """Return figures per topic over the whole run, three ways each; a narrow one shows arpd's, or the first."""
     titles = [f"{figure if way is Way.ARPD else ''}\n{way}" for figure in figures for way in ways]
     rows = [["TOPIC, WHOLE RUN", "SOURCE\nHZ", *titles]]
     for topic, *results in zip(robot, *(way.topics for way in ways.values()), strict=True):
         arrow = " (to robot)" if topic.direction is Direction.ACTUATION else ""
         cells = (format_number(cell(result)) for cell in figures.values() for result in results)
         rows.append([printable(topic.name) + arrow, format_number(topic.rate_hz, digits=4), *cells])
-    return fitted(rows, ranks=[0, len(ways), *(rank for _ in figures for rank in range(len(ways)))])
+    many = len(figures)
+    return fitted(rows, ranks=[0, many + 2, *(rank for place in range(many) for rank in (place, many, many + 1))])
 
 
 def _show_events(moments: Sequence[Moment]) -> None:
     """Print the plans, and the begin and end of each outage as arpd saw it."""
-    rows = [["", "WHAT ARPD DID", "CAPACITY"]]
+    rows = [["", "EVENT", "CAPACITY"]]
     for before, moment in pairwise(moments):
         at_s, is_out = f"{moment.t_s:.1f} s", moment.state is LinkState.OUTAGE
         if is_out != (before.state is LinkState.OUTAGE):

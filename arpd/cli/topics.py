@@ -23,6 +23,7 @@ from arpd.model.quantities import format_number, format_payload, format_rate, pr
 from arpd.model.settings import AUTO, RelaySettings, Settings
 from arpd.report.first_guess import first_guess
 from arpd.report.wording import count
+from arpd.ros.rmw import require_middleware
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -109,6 +110,7 @@ def _address(word: str) -> str:
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
     from arpd.ros.runtime import ros_node
 
+    require_middleware()
     # As in arpd's units: shared memory works between processes of one user only, and this may be another one.
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 

@@ -26,7 +26,7 @@ from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 
 if TYPE_CHECKING:
     from arpd.model.settings import Settings
-    from arpd.sim.link import ForeignFlow
+    from arpd.sim.link import CrossFlow
     from arpd.sim.result import SimTopic, TopicResult
     from arpd.sim.schedule import RateSchedule
     from arpd.sim.socket import Carrier
@@ -115,7 +115,7 @@ class Scenario:
     seed : of phases, jitter and losses; the same seed gives the same result
     model : delay, queue and loss of the link
     topics : topics of the robot
-    foreign : cross traffic from the robot
+    cross_traffic : flows from the robot that are not arpd's
     into_peer : other traffic that the peer's interface receives without crossing this link
     has_peer : whether a peer receives probes and sends reports
     """
@@ -127,8 +127,8 @@ class Scenario:
     way: Way = Way.ARPD
     model: LinkModel = field(default_factory=LinkModel)
     topics: tuple[SimTopic, ...] = field(default_factory=demo_topics)
-    foreign: tuple[ForeignFlow, ...] = ()
-    into_peer: tuple[ForeignFlow, ...] = ()
+    cross_traffic: tuple[CrossFlow, ...] = ()
+    into_peer: tuple[CrossFlow, ...] = ()
     has_peer: bool = True
 
     def play(self) -> ScenarioResult:
@@ -147,7 +147,7 @@ class _Run:
             SimulatedLink(timeline, scenario.schedule, model=scenario.model, random=self._random(f"link {name}"))
             for name in ("up", "down")
         )
-        for flow in scenario.foreign:
+        for flow in scenario.cross_traffic:
             flow.play(timeline, self._up)
         self._received: deque[tuple[float, float]] = deque()  # when (s), bytes
         self._publishers: list[SimulatedPublisher | SimulatedLinkTopic] = []
@@ -258,8 +258,8 @@ class _Run:
         model, run_s = self._scenario.model, max(0.0, self._timeline.now_s)
         rate, loss_ratio = self._mean_rate(run_s, _TRUTH_S), model.loss_ratio(run_s)
         is_out = rate <= 0.0 or loss_ratio >= 1.0
-        foreign = sum(
-            flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._scenario.foreign
+        cross_bytes = sum(
+            flow.offered_bytes(run_s + _TRUTH_S) - flow.offered_bytes(run_s) for flow in self._scenario.cross_traffic
         )
         return LinkEstimate(
             capacity_bytes_per_second=rate,
@@ -268,7 +268,7 @@ class _Run:
             age_s=0.0,
             evidence="the truth",
             queue_delay_s=self._up.queue_delay_s,
-            cross_traffic_bytes_per_second=foreign / _TRUTH_S,
+            cross_traffic_bytes_per_second=cross_bytes / _TRUTH_S,
             delivery_rate_bytes_per_second=self._delivered_bytes_per_second(),
             # Aggregates are full on a busy link.
             packet_overhead_s=model.packet_overhead_s / model.aggregate_packets,

@@ -243,7 +243,7 @@ class Estimator:
         # see, unless a ping met none.
         received, most = self._peers.delivery()[0], self._local.could_have_arrived(self._queue_delay_s)
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
-        has_arrived = received <= parameters.FOREIGN * most or self._queue_delay_s < parameters.IDLE_S
+        has_arrived = received <= parameters.OTHERS * most or self._queue_delay_s < parameters.IDLE_S
         # What leaves this host arrives at the peer: the same bytes count once.
         busy, weight = self._local.busy_rate, self._look_weight
         if busy is None and has_reports:

@@ -21,7 +21,7 @@ USED = 0.5  # part of the capacity from which on the absence of a queue shows th
 PING_WEIGHT, LOOK_WEIGHT = 0.8, 0.3
 RECENT_S = 0.15  # span of the delivery that counts while a queue stays
 CAUTION = 0.95  # part of what arrived that counts as carried
-FOREIGN = 1.1  # a peer that receives this multiple of what this host sends hears others, too
+OTHERS = 1.1  # a peer that receives this multiple of what this host sends hears others, too
 NOTICED = 0.015  # relative change that is stated
 FALLEN, URGENT_S = 0.8, 10.0  # part of the capacity below which trains are urgent, and time in which they are
 # Most of a radio's bit rate that carries data: 802.11 spends the rest on preambles, contention and acknowledgements.

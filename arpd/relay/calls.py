@@ -251,17 +251,13 @@ class CallBook:
             record = _outcome_record(call, failure)
         self._calls[call] = record
         self._repeat(call)
-        self._forget_oldest()
-
-    def _forget_oldest(self) -> None:
-        for each in [each for each, kept in self._calls.items() if kept is not None][:-MOST_CALLS]:
-            del self._calls[each]
 
     def _serve(self, call: CallId, request: Request) -> None:
         if call in self._calls:
             self._repeat(call)
             return
-        self._forget_oldest()  # those that were given up, too
+        for oldest in [each for each, kept in self._calls.items() if kept is not None][:-MOST_CALLS]:
+            del self._calls[oldest]
         running = sum(record is None for record in self._calls.values())
         self._calls[call] = None
         if running < MOST_CALLS:

@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from arpd.model.errors import RosUnavailableError
+from arpd.model.quantities import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,6 +49,24 @@ class Rmw:
     def refusal(self) -> str:
         """Reason why depth and deadline are never changed; empty if they are."""
         return "" if self.is_fast_dds else f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
+
+
+def require_middleware(environment: Mapping[str, str] = os.environ) -> None:
+    """Raise RosUnavailableError where RMW_IMPLEMENTATION names a middleware that cannot be loaded here.
+
+    rcl would end the process that imports rclpy, so another one tries. The one that every ROS brings needs no try.
+    """
+    name = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
+    if name == "rmw_fastrtps_cpp":
+        return
+    tried = subprocess.run(
+        [sys.executable, "-c", "import rclpy.impl.implementation_singleton"], check=False, capture_output=True
+    )
+    if tried.returncode not in {0, 1}:  # 1: there is no rclpy, which the import tells better
+        raise RosUnavailableError(
+            f"RMW_IMPLEMENTATION is {printable(name)}, and there is no such middleware here; "
+            "unset it, or install its package (ros-jazzy-rmw-…)"
+        )
 
 
 def current_rmw() -> Rmw:

@@ -214,7 +214,7 @@ class Loopback:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ForeignFlow:
+class CrossFlow:
     """A flow of full packets at a fixed rate: an upload from the robot, or a download of the peer.
 
     Parameters

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
-    from arpd.sim.link import ForeignFlow, SimulatedLink
+    from arpd.sim.link import CrossFlow, SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
     from arpd.sim.socket import Carrier
     from arpd.sim.timeline import Timeline
@@ -87,7 +87,7 @@ class SimulatedWorld:
         publishers: Sequence[Managed],
         random: Random,
         on_report: Callable[[], None],
-        into_peer: Sequence[ForeignFlow] = (),
+        into_peer: Sequence[CrossFlow] = (),
         has_peer: bool = True,
         end: SimulatedEnd | None = None,
     ) -> None:

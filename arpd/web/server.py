@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 MAX_CONNECTIONS = 32  # each may hold a whole answer that its client does not take
+_BACKLOG = 4096  # a burst of newcomers fills a shorter one, and the kernel takes a scrape's second try after a second
 _LIMITS = {
     "max_header_size": 16_384,
     "idle_connection_timeout": 20.0,  # for a head, the handshake included, and between two requests
@@ -139,7 +140,7 @@ class HttpServer:
 
     def _listen(self, server: _Server) -> None:
         try:
-            sockets = bind_sockets(self._http.port, self._http.host)
+            sockets = bind_sockets(self._http.port, self._http.host, backlog=_BACKLOG)
         except (OSError, UnicodeError, OverflowError) as error:
             why = getattr(error, "strerror", None) or error
             fault = f"no metrics: http: cannot listen on {self._http.netloc}: {why}"

@@ -16,7 +16,7 @@ from arpd.daemon.scenario import Scenario, Way
 from arpd.daemon.summary import WARM_UP_S, between, summarize
 from arpd.model.settings import TopicSettings
 from arpd.sim.demo import demo_settings, demo_topics
-from arpd.sim.link import ForeignFlow, LinkModel
+from arpd.sim.link import CrossFlow, LinkModel
 from arpd.sim.schedule import outages
 from scripts.bench.links import GOOD_S, MBIT, bursts, marks
 from scripts.bench.report import Summary, figure, picked, table
@@ -84,7 +84,7 @@ UNSEEN = LinkModel(queue_bytes=0, firmware_bytes=_QUEUE_BYTES)  # in a Wi-Fi ada
 _OUTAGES = ((15.0, 18.0), (26.0, 31.0), (39.0, 49.0))
 _BURSTS = takewhile(lambda burst: burst[0] < 50.0, bursts(_RNG := Random("bursts"), _RNG.expovariate(1.0 / GOOD_S)))
 _STALLS = tuple(mark for start_s, end_s in _OUTAGES for mark in ((start_s, 0.0), (end_s, 20.0)))
-_DOWNLOAD = ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
+_DOWNLOAD = CrossFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT)
 FALLS = {
     f"fall {before} to {after:g}": _change(before, after)
     for before, afters in ((20, (19, 16, 14, 12, 11, 10, 8, 6)), (5, (4.5, 3.5, 2.5, 1.5)))

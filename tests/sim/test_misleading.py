@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from arpd.sim.link import ForeignFlow, LinkModel
+from arpd.sim.link import CrossFlow, LinkModel
 from tests.sim.test_price import QUEUE, ROBOT, at, play
 from tests.sim.watched import MBIT, goodput, queues
 
@@ -15,7 +15,7 @@ def falling(**options):
 
 def test_a_download_into_the_peer_is_no_capacity():
     """While the peer downloads 40 Mbit/s elsewhere, a link of 5 is not taken for more, and no plan goes up."""
-    played = falling(into_peer=(ForeignFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT),))
+    played = falling(into_peer=(CrossFlow(start_s=0.0, end_s=1000.0, rate_bytes_per_second=40.0 * MBIT),))
     stated = [tick.snapshot.link.capacity_bytes_per_second for tick in played.between(FALLS_S + 3.0, LASTS_S)]
     assert max(stated) < 1.25 * 5.0 * MBIT
     assert "up" not in played.plans(FALLS_S, LASTS_S)

@@ -13,7 +13,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import LinkSettings
 from arpd.sim.demo import demo_settings, demo_topics
-from arpd.sim.link import ForeignFlow, LinkModel
+from arpd.sim.link import CrossFlow, LinkModel
 from arpd.sim.schedule import RateSchedule, outages
 from tests.sim.watched import MBIT, goodput
 
@@ -25,11 +25,11 @@ SEEDS = (1, 4)
 
 
 @cache
-def play(schedule, duration_s, *, way=Way.ARPD, seed=1, losses=(), loss=0.0, link=None, foreign=()):
+def play(schedule, duration_s, *, way=Way.ARPD, seed=1, losses=(), loss=0.0, link=None, cross_traffic=()):
     settings = demo_settings() if link is None else replace(demo_settings(), link=link)
     model = LinkModel(losses=losses, loss=loss)
     return Scenario(
-        settings, RateSchedule.parse(schedule), duration_s, seed=seed, way=way, model=model, foreign=foreign
+        settings, RateSchedule.parse(schedule), duration_s, seed=seed, way=way, model=model, cross_traffic=cross_traffic
     ).play()
 
 
@@ -164,7 +164,7 @@ def test_a_lossy_link_is_no_slow_link():
 
 
 def flow(start_s, end_s, mbits):
-    return (ForeignFlow(start_s=start_s, end_s=end_s, rate_bytes_per_second=mbits * MBIT),)
+    return (CrossFlow(start_s=start_s, end_s=end_s, rate_bytes_per_second=mbits * MBIT),)
 
 
 UPLOAD_S, UPLOAD_END_S = 12.0, 30.0
@@ -188,7 +188,7 @@ def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
 def test_an_outage_does_not_hide_cross_traffic():
     """It keeps its room through outages of 0.6 s every 5 s, and no queue of it and of arpd's topics stands."""
     cuts = outages(*((20.0 + 5.0 * k, 20.6 + 5.0 * k) for k in range(5)))
-    result = play("0:10mbit", 45.0, losses=cuts, foreign=flow(5.0, 60.0, 4.0))
+    result = play("0:10mbit", 45.0, losses=cuts, cross_traffic=flow(5.0, 60.0, 4.0))
     seen = between(result.moments, 21.0, 45.0)
     assert min(moment.cross_traffic_bytes_per_second for moment in seen) > 0.5 * 4.0 * MBIT
     assert sorted(moment.queue_delay_s for moment in seen)[round(0.95 * len(seen))] < 0.08
@@ -196,7 +196,7 @@ def test_an_outage_does_not_hide_cross_traffic():
 
 def test_an_upload_gets_room_and_gives_it_back():
     """The budget makes room for 2 Mbit/s on a link of 5 within five seconds, and takes it back afterwards."""
-    result = play("0:5mbit", 50.0, foreign=flow(UPLOAD_S, UPLOAD_END_S, 2.0))
+    result = play("0:5mbit", 50.0, cross_traffic=flow(UPLOAD_S, UPLOAD_END_S, 2.0))
     beside = between(result.moments, UPLOAD_S + 5.0, UPLOAD_END_S)
     assert all(1.5 * MBIT < moment.cross_traffic_bytes_per_second < 2.4 * MBIT for moment in beside)
     budgets = [moment.budget_bytes_per_second for moment in beside]
@@ -214,7 +214,7 @@ def test_an_upload_gets_room_and_gives_it_back():
 
 def test_half_of_the_link_stays_the_robots():
     """A flow that would take everything gets at most half of what the plan is made for."""
-    result = play("0:5mbit", 35.0, foreign=flow(12.0, 35.0, 4.5))
+    result = play("0:5mbit", 35.0, cross_traffic=flow(12.0, 35.0, 4.5))
     yielded = between(result.moments, 19.0, 35.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in yielded) > 2.7 * MBIT
     assert min(moment.level_bytes_per_second for moment in yielded) > 0.9 * 0.85 * 0.5 * 5.0 * MBIT

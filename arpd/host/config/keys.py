@@ -70,10 +70,10 @@ def spelled(value: Written) -> str:
 
 
 def changes(old: Settings, new: Settings) -> dict[str, str]:
-    """Return ``old -> new`` for each key that differs."""
+    """Return ``old -> new`` for each key that differs; what nobody has set is not set."""
     before, after = flatten(old), flatten(new)
     return {
-        key: f"{spelled(before.get(key, 'absent'))} -> {spelled(after.get(key, 'absent'))}"
-        for key in before | after
+        key: f"{spelled(before.get(key, 'not set'))} -> {spelled(after.get(key, 'not set'))}"
+        for key in after | before  # a key that is new stands beside its neighbours
         if before.get(key) != after.get(key)
     }

@@ -119,6 +119,13 @@ def test_a_daemon_without_a_port_is_not_known(run, config):
     assert {check for check, health in healths(out).items() if health == "unknown"} == {"clock", "profile", "versions"}
 
 
+def test_a_file_that_is_named_is_there(run, tmp_path):
+    """A name with a typo is an error, as everywhere, and no check that was not possible."""
+    code, out, err = run("doctor", "--config", tmp_path / "typo.yaml")
+    assert (code, out) == (78, "")
+    assert err.startswith(f"{tmp_path}/typo.yaml:1:1: file: ")
+
+
 @pytest.mark.parametrize("why", ["told not to", "no interface", "no domain"])
 def test_what_cannot_be_listened_to_is_not_known(doctor, computer, monkeypatch, why):
     """Nor does anything else fail for it."""

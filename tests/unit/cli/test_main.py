@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import subprocess
@@ -88,13 +89,14 @@ def test_the_interface_of_the_file_is_one_of_this_host(run, config):
 
 def test_check_says_what_differs_from_the_defaults(run, config):
     """After OK come the keys that the file changes, of a topic its own alone; as JSON it is every key."""
-    own = "relay: {link_domain: 77, robot: 10.0.0.1}, topics: [{name: /scan, weight: 2}, {name: /odom}]"
+    own = "relay: {link_domain: 77, robot: 10.0.0.1}, topics: [{name: /scan, weight: 2, min_rate_hz: 5}, {name: /odom}]"
     path = config(f"{{defaults: {{max_depth: 9}}, {own}}}")
     code, out, err = run("check", path)
     assert (code, out.split()[0], err) == (0, "OK", "")
     assert [line.strip() for line in out.splitlines()[1:]] == [
         "defaults.max_depth: 5000 -> 9",
         "topics[/scan].weight: 1.0 -> 2.0",
+        "topics[/scan].min_rate_hz: not set -> 5.0",
         "relay.link_domain: none -> 77",
         "relay.robot: none -> 10.0.0.1",
     ]
@@ -157,13 +159,24 @@ def test_a_relay_with_nothing_to_carry_says_so(config, options):
     assert relay.returncode == 0
 
 
-def test_a_domain_without_ports_is_refused_in_words(monkeypatch):
-    """The middleware would end the process."""
+@pytest.mark.parametrize(
+    ("command", "name", "value", "said"),
+    [
+        (
+            "topics",
+            "ROS_DOMAIN_ID",
+            "233",
+            "ROS 2 does not start (there is no domain above 232, and ROS_DOMAIN_ID is 233",
+        ),
+        ("peer", "RMW_IMPLEMENTATION", "nosuch", "RMW_IMPLEMENTATION is nosuch, and there is no such middleware here"),
+    ],
+)
+def test_a_domain_or_middleware_that_cannot_be_is_refused_in_words(monkeypatch, command, name, value, said):
+    """Either would end the process."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
-    ran = subprocess.run([sys.executable, "-m", "arpd.cli", "topics"], capture_output=True, text=True, check=False)
-    assert ran.returncode == 69
-    assert ran.stderr.startswith("arpd: ROS 2 does not start (there is no domain above 232, and ROS_DOMAIN_ID is 233)")
+    monkeypatch.setenv(name, value)
+    ran = subprocess.run([sys.executable, "-m", "arpd.cli", command], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr.startswith(f"arpd: {said}"), ran.stderr.count("\n")) == (69, True, 1)
 
 
 @pytest.mark.parametrize(
@@ -194,6 +207,13 @@ def test_an_output_that_takes_nothing_ends_with_no_traceback(line, exits, said):
     command = f"{sys.executable} -m arpd.cli {line}"
     ran = subprocess.run(command, shell=True, check=False, stderr=subprocess.PIPE)
     assert (ran.returncode, ran.stderr) == (exits, said)
+
+
+def test_a_full_disk_is_not_blamed_on_standard_output(run, monkeypatch):
+    """Another file that takes nothing is a fault of arpd's, with its traceback."""
+    monkeypatch.setattr("arpd.cli.solve.Solver", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(OSError, match="No space left on device"):
+        run("solve", "--rmax", "100", *TOPICS.split())
 
 
 TABLE_2 = {100: (7, 365), 200: (15, 390), 500: (40, 405), 1000: (82, 410)}

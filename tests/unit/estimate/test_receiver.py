@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.receiver import Arrival, Receiver, measure_train
+from arpd.estimate.receiver import BUSY_S, LONGEST_QUIET_S, QUIET_S, Arrival, Receiver, measure_train
 from arpd.model.wire import probe_wire_bytes
 
 SIZE = 1200
@@ -66,7 +66,7 @@ def test_a_train_is_a_part_of_what_was_sent(gaps, sent_every_ns, lost):
         assert 0 < train.duration_s <= (sent[-1].received_ns - sent[0].received_ns) / 1e9
 
 
-def send(receiver, number, packets, *, indices=None):
+def send(receiver, number, packets, *, indices=None, quiet_s=0.0):
     for index in range(packets) if indices is None else indices:
         receiver.on_probe(
             train=number,
@@ -75,6 +75,7 @@ def send(receiver, number, packets, *, indices=None):
             payload_bytes=SIZE if packets > 1 else 16,
             sent_ns=index * 100_000,
             received_ns=OFFSET_NS + index * SPACING_NS,
+            quiet_s=quiet_s,
         )
 
 
@@ -104,3 +105,13 @@ def test_repeated_packets_do_not_pile_up():
     receiver = Receiver("base", 0.0)
     send(receiver, 1, 10, indices=[0] * 1000)
     assert len(receiver._arrivals) <= 10
+
+
+@pytest.mark.parametrize(("quiet_s", "kept_s"), [(0.0, QUIET_S), (1.0, 1.0), (60.0, LONGEST_QUIET_S)])
+def test_reports_are_as_rare_as_a_probe_asks(quiet_s, kept_s):
+    """After the answer nothing is due for the time that the ping named, within bounds, nor is news looked for."""
+    receiver = Receiver("base", 0.0)
+    send(receiver, 1, 1, quiet_s=quiet_s)
+    receiver.report(0.1, rx_bytes=0, rx_packets=0)
+    assert receiver.schedule.due_s == pytest.approx(0.1 + kept_s)
+    assert receiver.schedule.look_s == pytest.approx(0.1 + max(BUSY_S, min(quiet_s, LONGEST_QUIET_S)))

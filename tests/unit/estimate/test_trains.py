@@ -26,16 +26,16 @@ class Link:
     def packet_s(self, size):
         return self.overhead_s + size / self.capacity
 
-    def train(self, size, *, longer=1.0, copies=1, after_s=0.1):
-        """Note a train of packets of some size, stretched by other traffic."""
+    def train(self, size, *, longer=1.0, copies=1, after_s=0.1, sent=0.0):
+        """Note a train of packets of some size, stretched by other traffic, that took a part of its time to leave."""
         self.now_s += after_s
         duration_s = longer * PACKETS * copies * self.packet_s(size)
-        train = Train(payload_bytes=PACKETS * size, duration_s=duration_s, packets=PACKETS)
+        train = Train(payload_bytes=PACKETS * size, duration_s=duration_s, packets=PACKETS, sent_s=sent * duration_s)
         self.log.note(train, self.now_s, copies=copies)
 
-    def pair(self, *, large=1.0, small=1.0, copies=1):
+    def pair(self, *, large=1.0, small=1.0, copies=1, sent=0.0):
         self.train(LARGE, longer=large, copies=copies, after_s=1.0)
-        self.train(SMALL, longer=small, copies=copies)
+        self.train(SMALL, longer=small, copies=copies, sent=sent)
 
 
 LINKS = st.builds(Link, st.floats(52e-6, 5e-3), st.floats(0.04, 0.79))
@@ -63,3 +63,11 @@ def test_trains_with_other_traffic_inside_do_not_matter(link, fills):
         link.pair(large=1.0 + fill * (place % 2), small=1.0 + fill * room)
     link.pair()
     assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
+
+
+@given(LINKS, st.floats(0.71, 1.0))
+def test_a_sender_that_is_slower_than_the_link_shows_no_overhead(link, sent):
+    """Small packets that arrive as slowly as they left would make the sender's time the radio's."""
+    for _ in range(PAIRS):
+        link.pair(sent=sent)
+    assert link.log.packet_overhead_s == 0.0

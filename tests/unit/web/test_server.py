@@ -172,7 +172,9 @@ def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
     caplog.set_level("INFO", "arpd.web.server")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port, tries = other.getsockname()[1], []
-        monkeypatch.setattr("arpd.web.server.bind_sockets", lambda *at: tries.append(at) or bind_sockets(*at))
+        monkeypatch.setattr(
+            "arpd.web.server.bind_sockets", lambda *at, **options: tries.append(at) or bind_sockets(*at, **options)
+        )
         server = server_of(HttpSettings(port=port))
         with server.up():
             eventually("it has tried again", lambda: len(tries) > 2)
