@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST = 10.0
+_CATCH_UP = 2.0  # times its usual rate at which an ordered line leaves after a wait; a burst would overrun its readers
 _DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long, and enough for so long before, costs no small sample
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
 _NO_PLAN = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
@@ -32,8 +33,12 @@ class _Bucket:
 
     def __init__(self) -> None:
         self.rate_hz = math.inf
-        self._credit = _LEAST_BURST
+        self._most = self._credit = _LEAST_BURST
         self._at_s = -math.inf
+
+    def retune(self, rate_hz: float, *, usual_hz: float) -> None:
+        """Take the rate, and of which one some time may leave at once (Hz)."""
+        self.rate_hz, self._most = rate_hz, max(_LEAST_BURST, _BURST_S * min(rate_hz, usual_hz))
 
     def due_s(self, now_s: float) -> float:
         """Return when there is credit for a sample (s)."""
@@ -48,8 +53,9 @@ class _Bucket:
         if math.isinf(self.rate_hz):
             return _UNPACED_BURST
         elapsed_s, self._at_s = max(0.0, now_s - self._at_s), max(now_s, self._at_s)
-        most = max(_LEAST_BURST, _BURST_S * self.rate_hz)
-        self._credit = min(most, self._credit + (self.rate_hz * elapsed_s if elapsed_s < math.inf else most))
+        self._credit = min(
+            self._most, self._credit + (self.rate_hz * elapsed_s if elapsed_s < math.inf else self._most)
+        )
         return self._credit
 
     def spend(self, samples: float) -> None:
@@ -119,6 +125,7 @@ class Lane:
         self.blocked_s = 0.0
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
+        self.rate_hz = math.inf
         self._is_thinned = False
         self._thinned = 0
         self._short_s = self._dip_s = -math.inf  # when its rate was too little last, and since when
@@ -144,17 +151,12 @@ class Lane:
         return self.plan.weight if self.plan is not None and self.plan.weight > 0.0 else self._weight
 
     @property
-    def rate_hz(self) -> float:
-        """Rate that the price leaves the topic (Hz)."""
-        return self._allowed.rate_hz
-
-    @property
     def link_share(self) -> float | None:
         """Share of the link time that its rate takes at the price; None where a topic with samples has no plan yet."""
         if self.plan is None or self.price is None:
             return 0.0
         if self.plan.wire_bytes > 0.0:
-            return self._allowed.rate_hz * self.price.cost_s(self.plan)
+            return self.rate_hz * self.price.cost_s(self.plan)
         return None if self.offered_rate.samples else 0.0
 
     @property
@@ -180,12 +182,16 @@ class Lane:
         """Take a plan and a price; None = there is none."""
         self.plan, self.price = plan, price
         if plan is None:
-            self._cap.rate_hz = self._allowed.rate_hz = self._floor_s = math.inf
+            self.rate_hz = self._cap.rate_hz = self._allowed.rate_hz = self._floor_s = math.inf
             return
+        self.rate_hz = allowed_hz = plan.rate_hz if price is None else price.rate_hz(plan)
+        cap_hz = plan.rate_hz
         if self._is_ordered:
             self._depth = self._large_depth = plan.depth
-        self._cap.rate_hz = plan.rate_hz
-        self._allowed.rate_hz = plan.rate_hz if price is None else price.rate_hz(plan)
+            cap_hz = max(cap_hz, min(_CATCH_UP * cap_hz, plan.max_rate_hz))
+            allowed_hz = allowed_hz if allowed_hz < plan.rate_hz else cap_hz
+        self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
+        self._allowed.retune(allowed_hz, usual_hz=plan.rate_hz)
         floor_hz = plan.min_rate_hz if price is None else price.floor_hz(plan)
         self._floor_s = 1.0 / floor_hz if floor_hz > 0.0 else math.inf
 

@@ -146,7 +146,7 @@ class Wanted:
                 else:
                     self.moves[name] = move
             if (most_hz := settings.topic(name).max_rate_hz) is not None:
-                row = replace(row, rate_hz=min(row.rate_hz, most_hz))
+                row = replace(row, rate_hz=min(row.rate_hz, most_hz), max_rate_hz=most_hz)
             self.rows[name] = alike(row) if is_exact else row
 
     def keeps_its_readers(self, name: str, row: TopicPlan) -> bool:

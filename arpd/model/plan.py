@@ -25,6 +25,8 @@ class TopicPlan:
     depth : KEEP_LAST depth (samples), 1..5000
     weight : w, share of link time relative to other topics; 0 = no price applies, the rate is the ceiling
     wire_bytes, packets : s and k, what one sample puts on the link, over all copies
+    max_rate_hz : what the configuration allows; a topic that loses nothing may leave faster than ``rate_hz`` after a
+        wait, but no faster than that (Hz)
     """
 
     rate_hz: float
@@ -34,6 +36,7 @@ class TopicPlan:
     weight: float = 0.0
     wire_bytes: float = 0.0
     packets: int = 0
+    max_rate_hz: float = math.inf
 
     def __post_init__(self) -> None:
         """Refuse nonsense at birth."""

@@ -34,6 +34,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "weight": (1e-6, 1e6),
     "wire_bytes": (1.0, 1e12),  # the largest sample there is, to a thousand readers
     "packets": (0, 10**9),
+    "max_rate_hz": (0.0, 1e6),
 }
 ROW = tuple(BOUNDS)[2:]  # fields of a row, in their order
 
@@ -91,7 +92,7 @@ def checked(name: str, value: Any, own: WriterQos | None = None) -> Any:
 
     Raises ValueError, which names the field, if it is out of bounds.
     """
-    if name == "rate_hz" and value is None:
+    if name in {"rate_hz", "max_rate_hz"} and value is None:
         return math.inf
     least, most = BOUNDS[name]
     is_whole = type(most) is int

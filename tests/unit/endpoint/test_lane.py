@@ -120,6 +120,22 @@ def test_a_dip_of_the_rate_costs_no_small_sample():
     assert [number for _, number in leave_all(lane)] == [148, 149]  # of which its rate has the credit
 
 
+@pytest.mark.parametrize(("most_hz", "within_s"), [(math.inf, 3.5), (30.0, 11.0)])
+def test_an_ordered_topic_catches_up_after_an_outage(most_hz, within_s):
+    """What 5 s of an outage held up leaves faster than it comes, within the configured rate and without a burst."""
+    lane = make(25.0, depth=1000, is_ordered=True)
+    lane.retune(TopicPlan(rate_hz=25.0, min_rate_hz=0.0, deadline_ns=0, depth=1000, max_rate_hz=most_hz), None)
+    for number in range(100):
+        lane.offer(b"%4d" % number, 0.0)
+    departures = play(lane, [(5.0 + number / 20.0, None, 100 + number) for number in range(400)])
+    caught_up_s = next(left_s for left_s, _, number in departures if left_s - (5.0 + (number - 100) / 20.0) < 0.01)
+    assert caught_up_s - 5.0 <= within_s
+    assert [number for *_, number in departures] == list(range(500))
+    rate_hz = min(most_hz, 50.0)
+    for (one_s, *_), (nine_later_s, *_) in zip(departures, departures[9:], strict=False):
+        assert nine_later_s - one_s >= (9 - 0.3 * 25.0) / rate_hz
+
+
 def test_what_has_expired_does_not_leave():
     """A sample older than its LIFESPAN is withheld, and the next one leaves in its place."""
     lane = make(depth=3, is_ordered=True)

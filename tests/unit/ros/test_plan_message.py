@@ -62,7 +62,7 @@ def test_any_bytes_are_a_plan_or_refused(noise, spoils):
         assert all(isinstance(row, TopicPlan) for row in rows)
 
 
-FIELDS = {**{name: getattr(ROW, name) for name in NAMES}, "rate_hz": 50.0}
+FIELDS = {**{name: getattr(ROW, name) for name in NAMES}, "rate_hz": 50.0, "max_rate_hz": 60.0}
 FLOATS, INTEGERS = st.floats(), st.integers(max_value=INFINITE_NS - 1)
 BOUNDS = {
     "rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
@@ -72,6 +72,7 @@ BOUNDS = {
     "depth": (INTEGERS, lambda value: 1 <= value <= MOST_DEPTH),
     "deadline_ns": (INTEGERS, lambda value: value == 0 or value >= LEAST_DEADLINE_NS),
     "packets": (INTEGERS, lambda value: 0 <= value <= 10**9),
+    "max_rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
 }
 
 
