@@ -74,7 +74,7 @@ def is_valid(name: str, part: str, options: argparse.Namespace) -> bool:
     """Run a benchmark, print its summary and keep it; return whether it is, unless it is a short form, valid."""
     plays, *minutes, _ = SCENARIOS[name]
     about = minutes[options.quick] / (len(PARTS[name]) if part in PARTS.get(name, ()) else 1)
-    print(f"{name} {part}: about {about:g} min, load average {os.getloadavg()[0]:.1f}", flush=True)
+    print(f"{name} {part}".rstrip() + f": about {about:g} min, load average {os.getloadavg()[0]:.1f}", flush=True)
     asked = {"only": part, "folder": options.folder, "rounds": options.full and FULL_ROUNDS}
     began_s = time.monotonic()
     try:
@@ -151,7 +151,7 @@ def main() -> int:
     wrong = []
     for name, part in options.jobs:
         if not (options.is_part or options.again or options.only) and is_known(name, part):
-            print(f"{name} {part}: this tree has been measured")
+            print(f"{name} {part}".rstrip() + ": this tree has been measured")
         elif not is_valid(name, part, options):
             wrong.append((name, part))
     if not options.quick:  # what disturbed them may be over

@@ -150,7 +150,7 @@ class Summary:
         """Return it for a page, without the figures that have a target; long tables are folded."""
         parts = [self.about, _said(self.conditions), _failures(self.failed)]
         parts.append(_figures([("", each) for each in self.figures if each.target is None]))
-        for table in self.tables:
+        for table in (each for each in self.tables if each.rows):
             rows = _markdown(table.columns, [list(map(shown, row)) for row in table.rows])
             if len(table.rows) > _MOST_ROWS:
                 parts.append(_folded(table.title or f"{len(table.rows)} rows", rows))
