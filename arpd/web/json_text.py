@@ -28,7 +28,7 @@ _HIDDEN = {
     "PublisherState": {"announced_at_s"},
     "Totals": {"solves_by_outcome"},
 }
-_MAY_BE_INFINITE = {"age_s", "paced_rate_hz", "queue_delay_s", "rate_hz", "share_per_weight"}
+_MAY_BE_INFINITE = {"age_s", "max_rate_hz", "paced_rate_hz", "queue_delay_s", "rate_hz", "share_per_weight"}
 
 
 def plain(value: Any, name: str = "") -> Any:
