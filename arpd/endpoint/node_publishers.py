@@ -15,11 +15,12 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
+from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
 from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
-from arpd.ros.node_snapshot import MOST_OF_NODE, encode_snapshot
+from arpd.ros.node_snapshot import encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
 from arpd.ros.rcl import InvalidHandle, no_publisher_events
@@ -41,7 +42,7 @@ _EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _PLANS = Letters(topic=PLAN_TOPIC, decode=decode_plan, most_bytes=MOST_BYTES, most_hz=10.0)  # a daemon sends 5 at most
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
-_WARN_EVERY_S, _WARN_OF_MANY_S = 5.0, 60.0
+_WARN_EVERY_S = 5.0
 _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
 
 
@@ -88,6 +89,7 @@ class NodePublishers:
         self.relay: RelaySummary | None = None
         self._publishers: dict[str, Paced] = {}
         self._warned: set[str] = set()  # topics that make others wait
+        self._has_left_out = False  # publishers that no snapshot has room for
         self._rows: Mapping[str, Any] = {}  # of the plan in force, also of topics that are not there yet
         self._answer = NO_PLAN
         self._heard_s = -math.inf  # last sign of the daemon
@@ -172,17 +174,18 @@ class NodePublishers:
         for publisher in self._publishers.values():
             with suppress(InvalidHandle):  # another thread has just destroyed it
                 states.append(publisher.state())
-        if len(states) > MOST_OF_NODE:
+        told, left_out = states[:MOST_PUBLISHERS], states[MOST_PUBLISHERS:]
+        if left_out and not self._has_left_out:
             self._node.get_logger().warning(
-                f"{len(states)} publishers in one node: arpd manages {MOST_OF_NODE}, and not "
-                f"{states[MOST_OF_NODE].topic}, for example; make another node for the rest",
-                throttle_duration_sec=_WARN_OF_MANY_S,
-                skip_first=False,
+                f"{len(states)} publishers in one node: arpd manages {MOST_PUBLISHERS} at most, and not "
+                f"{left_out[0].topic}, for example"
             )
+        self._has_left_out = bool(left_out)
         self._warn_of_large(states)
         message = encode_snapshot(
             self._name,
-            states[:MOST_OF_NODE],
+            told,
+            left_out=len(left_out),
             answer=self._answer,
             lacks_profile=self._lacks_profile,
             relay=self.relay,

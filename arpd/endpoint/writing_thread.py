@@ -108,7 +108,8 @@ class WritingThread:
         """Give a lane its plan and the price; None = there is none."""
         with self._lock:
             self._queue.retune(lane, plan, price)
-            self._wake_for_queue()
+            if self._queue.is_waiting:  # a price comes for a thousand lanes: the thread looks once what that changes
+                self._wake(0.0)
 
     def offer(self, lane: Lane, message: bytes, *, source: Hashable = None, lifespan_ns: int = 0) -> None:
         """Let a message of a writer with this LIFESPAN wait for its turn; 0 = infinite (ns)."""

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
 
+MOST_PUBLISHERS = 2000  # that a daemon manages, of all nodes together and so of one: more than any robot has
+
 
 class Direction(StrEnum):
     """Direction in which a topic crosses the link."""
@@ -189,7 +191,10 @@ class FlowState:
 
     def counted(self) -> dict[str, Any]:
         """Return these fields, to make a `PublisherState` with them."""
-        return {each.name: getattr(self, each.name) for each in fields(FlowState)}
+        return {name: getattr(self, name) for name in _COUNTED}
+
+
+_COUNTED = tuple(each.name for each in fields(FlowState))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -245,10 +250,12 @@ class NodeSnapshot:
     node : its full name
     answer : to the daemon's plans
     publishers : fields of the `PublisherState` of each, without those that the graph shows
+    left_out : number of its publishers beyond `MOST_PUBLISHERS`, of which it tells nothing
     relay : summary of the relay that this node belongs to
     """
 
     node: str
     answer: PlanAnswer
     publishers: Sequence[Mapping[str, Any]] = ()
+    left_out: int = 0
     relay: RelaySummary | None = None

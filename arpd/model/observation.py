@@ -65,6 +65,7 @@ class Observation:
     refused : messages, or parts of them, refused since the start, by kind and reason
     answers : of nodes to plans since the start, by result (``ok``, ``refused``, ``timeout``)
     pending : publishers that announce themselves but that the graph does not show (yet)
+    left_out : publishers that arpd does not manage because there are too many, by node
     relay : the relay with two ends, None without one and while its end on the robot tells nothing
     is_relay_silent : True when that end should tell, and has told nothing for 4.5 s
     domain : ROS domain in which publishers and peers are looked for, None without ROS
@@ -89,6 +90,7 @@ class Observation:
     refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
     answers: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     pending: int = 0
+    left_out: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     relay: RelaySummary | None = None
     is_relay_silent: bool = False
     domain: int | None = None

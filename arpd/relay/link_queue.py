@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane
@@ -12,11 +13,14 @@ from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, 
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
 from arpd.relay.flight import SIGN_BYTES, Flight, Received, Sign, decode_sign, encode_sign
 from arpd.relay.partner import EVERY_S, REPLACED_S
+from arpd.relay.turns import Turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from arpd.endpoint.lane import UnderWay
+    from arpd.model.plan import TopicPlan
+    from arpd.model.price import Price
 
 _CHUNK_S = 0.0025  # of the link; samples of one packet wait behind one chunk
 _LEAST_PACKETS, _MOST_PACKETS = 2, 16
@@ -24,6 +28,7 @@ _UNKNOWN_PACKETS = 4
 # Small messages wait for others: so many packets' time, at most so long, and so long on any link, because a packet
 # costs both ends as much as the samples in it.
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
+_MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
@@ -60,6 +65,7 @@ class LinkQueue(PacedQueue):
         self._session = session
         self.flight = Flight()
         self._coach = Lane(together)
+        self._turns = Turns()
         self._departs_s = -math.inf  # when the next messages leave together
         self._expects_s = -math.inf  # the same where others will most likely have come
         self._share = math.inf  # link time a second, may be spent
@@ -157,6 +163,16 @@ class LinkQueue(PacedQueue):
 
     # -- what waits
 
+    def remove(self, lane: Lane) -> None:
+        """Serve it no more, if it is served; what waits is withheld."""
+        super().remove(lane)
+        self._turns.touch(lane)
+
+    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = there is none."""
+        super().retune(lane, plan, price)
+        self._turns.touch(lane)
+
     def offer(
         self, lane: Lane, message: bytes, now_s: float, *, source: Hashable = None, expires_s: float = math.inf
     ) -> None:
@@ -165,6 +181,7 @@ class LinkQueue(PacedQueue):
             lane.offered_rate.count(now_s)
             lane.withheld[WithheldCause.FAILED.value] += 1
             return
+        (self._turns.touch if lane in self._active else self._turns.move)(lane)
         super().offer(lane, message, now_s, source=source, expires_s=expires_s)
         if len(message) > _TOGETHER_BYTES:
             lane.has_company = False  # for good: a later small one must not overtake it on another writer
@@ -177,6 +194,7 @@ class LinkQueue(PacedQueue):
             self._was_out = False
             for each in self._active:
                 each.give_up_old()
+                self._turns.touch(each)
         return super().take(now_s)
 
     def due_s(self, now_s: float) -> float:
@@ -186,7 +204,30 @@ class LinkQueue(PacedQueue):
         nor a chunk whose receipt is not due.
         """
         expected = (each_s for each_s in (self._expects_s, self._received.expects_s) if each_s > now_s)
-        return min([super().due_s(now_s), *expected])
+        return min([self._next_s(now_s), *expected])
+
+    def _next_s(self, now_s: float) -> float:
+        if not self._active or not self._is_open(now_s):
+            return math.inf
+        self._settle(now_s)
+        self._turns.update(self._active, now_s, finish=self._finish)
+        first_s = self._turns.first.due_s(self._departs_s)
+        if first_s <= now_s or not self._has_room():
+            return first_s
+        return min(first_s, max(self._turns.in_turn.due_s(self._departs_s), self._free_s(now_s)))
+
+    def _choose(self, now_s: float) -> tuple[Lane, bool] | None:
+        self._turns.update(self._active, now_s, finish=self._finish)
+        for lane in self._turns.first.ready(now_s, self._departs_s):
+            if lane.claimant is None:
+                return lane, True
+        if self._free_s(now_s) > now_s + SOON_S or not self._has_room():
+            return None
+        ready = [lane for lane in self._turns.in_turn.ready(now_s, self._departs_s) if lane.claimant is None]
+        if not ready:
+            return None
+        behind = [lane for lane in ready if lane.is_behind(now_s)]
+        return min(behind or ready, key=self._turns.finish.__getitem__), False
 
     def _is_open(self, now_s: float) -> bool:
         return self.flight.has_room(is_small=True) and not self._is_out(now_s)
@@ -197,9 +238,6 @@ class LinkQueue(PacedQueue):
     def _has_room(self) -> bool:
         return self.flight.has_room(is_small=False)
 
-    def _turn_s(self, lane: Lane, now_s: float) -> float:
-        return now_s if lane.current is not None else self._due_s(lane, now_s, in_turn=True)
-
     def _due_s(self, lane: Lane, now_s: float, *, in_turn: bool) -> float:
         due_s = super()._due_s(lane, now_s, in_turn=in_turn)
         return max(due_s, self._departs_s) if lane.has_company else due_s
@@ -208,18 +246,20 @@ class LinkQueue(PacedQueue):
         """Return the message of a lane, and what leaves together with it; None where all that waited had expired."""
         if not lane.has_company:
             return super()._leave(lane, now_s, is_first=is_first)
-        others = [each for each in self._active if each is not lane and each.has_company]
-        boarding = {lane: is_first, **{each: True for each in others if self._comes_first(each, now_s)}}
+        boarding = {lane: is_first, **{each: True for each in self._turns.first.company(now_s) if each is not lane}}
         if self._free_s(now_s) <= now_s + SOON_S:
-            in_turn = [each for each in others if each not in boarding and self._turn_s(each, now_s) <= now_s]
-            boarding |= dict.fromkeys(sorted(in_turn, key=lambda each: each.start), False)
+            in_turn = [each for each in self._turns.in_turn.company(now_s) if each not in boarding]
+            boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
-        room = _TOGETHER_BYTES
-        for each in boarding:
+        room, misses, is_full = _TOGETHER_BYTES, 0, False
+        for each, is_due in boarding.items():
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
             room -= sum(map(len, messages))
-        is_full = any(each in self._active and self._comes_first(each, now_s) for each in boarding)
+            is_full |= is_due and each in self._active and self._comes_first(each, now_s)
+            misses = 0 if messages else misses + 1
+            if misses == _MOST_MISSES:
+                break
         self._departs_s = now_s if is_full else now_s + self._company_s
         self._expects_s = self._departs_s if len(aboard) > 1 else -math.inf
         if not aboard:
@@ -245,7 +285,14 @@ class LinkQueue(PacedQueue):
             aboard.append(current.message)
             room -= len(current.message)
             self._end(lane, now_s)
+        if aboard or lane not in self._active:
+            self._turns.move(lane)
         return aboard
+
+    def _begin(self, lane: Lane, now_s: float, *, is_first: bool) -> bytes | None:
+        part = super()._begin(lane, now_s, is_first=is_first)
+        self._turns.move(lane)
+        return part
 
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
         message, offset = current.message, current.offset

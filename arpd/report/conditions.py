@@ -82,6 +82,7 @@ class Condition(StrEnum):
     RELAY_REFUSES = (
         "relay_refuses", _PLAN, _WARNING, True, 0.0, "The relay refuses topics", "1c64c16357d944bd9bb0a76b9d9fd4b1",
     )
+    LEFT_OUT = "left_out", _PLAN, _WARNING, True, 0.0, "Publishers are left out", "d8ac84e735774927a9ea4768d449aca3"
     # a swap proves itself within seconds, and arpd tries again
     UNCONFIRMED = "unconfirmed", _PLAN, _WARNING, True, 15.0, "Plan not confirmed", "110bfeca52b7469a8e95c323182c6461"
     RESTART_NEEDED = (

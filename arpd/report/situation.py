@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.allocation import AllocationStatus
+from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
@@ -140,6 +141,10 @@ def _found_in(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
     yield from _of_configuration(snapshot)
     yield from _of_relay(snapshot)
+    if left_out := observation.left_out:
+        nodes, many = sorted(left_out), sum(left_out.values())
+        why = f"{count(many, 'publisher')} of {listed(nodes)} {'has' if many == 1 else 'have'} no plan"
+        yield Finding(Condition.LEFT_OUT, f"{why}, because arpd manages {MOST_PUBLISHERS} at most", " ".join(nodes))
     if not observation.active_daemon and (why := waiting.peer(snapshot)):
         if waiting.is_lost(snapshot):  # one that is forgotten is so since it was found
             silent_s = min(observation.peer_ages_s.values(), default=-math.inf)

@@ -40,6 +40,8 @@ class Letters(Generic[T]):
     decode : returns what the content of the array says; raises ValueError, which names the fault
     most_bytes : of an honest message
     most_hz : messages of an honest writer
+    weigh : returns for how many more messages of its writer one counts that took long to read, and so it gets None for
+        one that could not be read
     """
 
     topic: str
@@ -47,6 +49,7 @@ class Letters(Generic[T]):
     decode: Callable[[Any], T]
     most_bytes: int
     most_hz: float
+    weigh: Callable[[T | None], float] = lambda _found: 0.0
 
 
 #: A daemon sends 33 prices a second at most.
@@ -103,11 +106,14 @@ class Inbox(Generic[T]):
         elif not self._limit.take(sample.writer, self._clock()):
             self.refuse(MessageRefusal.RATE, sample.writer, f"one writer sends more than {letters.most_hz:g} a second")
         else:
+            found = None
             try:
                 found = letters.decode(self._content(sample.data))
             except ValueError as fault:
                 self.refuse(MessageRefusal.MALFORMED, sample.writer, str(fault))
                 return
+            finally:
+                self._limit.charge(sample.writer, letters.weigh(found))
             self._deliver(sample, found)
 
     def refuse(self, reason: MessageRefusal, source: Hashable, words: str) -> None:

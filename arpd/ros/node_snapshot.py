@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.endpoints import PublisherState, SwapResult, SwapState, WithheldCause
+from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState, SwapResult, SwapState, WithheldCause
 from arpd.model.plan import NO_PLAN
 from arpd.model.quantities import printable
 from arpd.ros.documents import MOST_INTEGER, pack
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
 
-MOST_OF_NODE = 256  # publishers of a node: more than any relay carries
-MOST_BYTES = 1_000_000  # of a snapshot's text; 256 publishers take 200 kB, and 100 refused topics of a relay 10 kB
+#: Of a snapshot's text: twice what as many publishers take whose names, types and refusals are as long as they may be.
+MOST_BYTES = 2500 * MOST_PUBLISHERS
+LONGEST_SNAPSHOT = MOST_BYTES // 4  # bytes; names at random can be packed to three quarters, and all else to little
 MOST_WORDS = 300  # characters of a text
 MOST_NAMED = 100  # names of each kind in a relay's summary
 MOST_SECONDS = 1e9  # 30 years
@@ -48,12 +49,15 @@ def encode_snapshot(
     node: str,
     states: Iterable[PublisherState],
     *,
+    left_out: int = 0,
     answer: PlanAnswer = NO_PLAN,
     lacks_profile: bool = False,
     relay: RelaySummary | None = None,
 ) -> bytes:
-    """Return a node's message, with the states of its publishers."""
+    """Return a node's message, with the states of its publishers, `MOST_PUBLISHERS` at most."""
     document: dict[str, Any] = {"node": node, "publishers": _columns_of(tuple(states))}
+    if left_out:
+        document["left_out"] = left_out
     if answer != NO_PLAN:
         document["answer"] = {**dataclasses.asdict(answer), "refusal": shown_words(answer.refusal)}
     if lacks_profile:

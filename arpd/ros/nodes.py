@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import PublisherState
+from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState
 from arpd.ros.crossing import Graph
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
 
-MOST_PUBLISHERS = 2000  # of all nodes together: more than any robot has
 MOST_NODES = 500
 SILENT_S = 4.5  # four snapshots missed: the node is gone
 
@@ -26,6 +25,7 @@ class _Node:
     snapshot: NodeSnapshot
     at_s: float
     shown: set[str] = field(default_factory=set)  # topics that the graph has shown it to write
+    is_real: bool = False  # whether the graph has shown any
     states: list[PublisherState] | None = None  # made of all this when somebody asks
 
 
@@ -33,7 +33,7 @@ class Nodes:
     """Last snapshot of every node, by the GUID of the writer that sent it: a node that restarts has another one.
 
     A publisher counts once the graph has shown its node on the topic, so an invented one never counts. Publishers are
-    bounded per node by the size of a snapshot, and here in all.
+    bounded in all: of the node that comes last, those count that it made first.
     """
 
     def __init__(self) -> None:
@@ -53,30 +53,42 @@ class Nodes:
         return frozenset(row["topic"] for node in tuple(self._nodes.values()) for row in node.snapshot.publishers)
 
     @property
+    def left_out(self) -> Mapping[str, int]:
+        """Number of publishers for which a node's snapshot, or this list of all, has no room, by node."""
+        told = {node.snapshot.node: node.snapshot.left_out for node in self._nodes.values() if node.is_real}
+        return {node: many for node, many in told.items() if many}
+
+    @property
     def answers(self) -> Mapping[str, PlanAnswer]:
         """Answers to plans, by node."""
         return {node.snapshot.node: node.snapshot.answer for node in self._nodes.values()}
 
     def note(self, writer: bytes, snapshot: NodeSnapshot, now_s: float) -> bool:
-        """Note a snapshot; return False when there is no room for it."""
+        """Note a snapshot; return False when there is no room for it, or for all its publishers."""
         before, node = self._nodes.pop(writer, None), _Node(snapshot, now_s)
         if before is not None and before.snapshot.node == snapshot.node:
             node.shown = before.shown.intersection(row["topic"] for row in snapshot.publishers)
+            node.is_real = before.is_real
         self._live = None
         self._look(node)
-        if node.shown:  # what the graph never showed gives way to it
-            for other in [other for other, each in self._nodes.items() if not each.shown]:
-                if self._has_room(snapshot):
+        if node.is_real:  # what the graph never showed gives way to it
+            for other in [other for other, each in self._nodes.items() if not each.is_real]:
+                if self._room >= len(snapshot.publishers) and len(self._nodes) < MOST_NODES:
                     break
                 del self._nodes[other]
-        if not self._has_room(snapshot):
+        if len(self._nodes) >= MOST_NODES:
             return False
         self._nodes[writer] = node
-        return True
+        if (beyond := -self._room) <= 0:
+            return True
+        fitting = snapshot.publishers[: len(snapshot.publishers) - beyond]
+        node.snapshot = replace(snapshot, publishers=fitting, left_out=snapshot.left_out + beyond)
+        node.shown.intersection_update(row["topic"] for row in fitting)
+        return False
 
-    def _has_room(self, snapshot: NodeSnapshot) -> bool:
-        publishers = sum(len(node.snapshot.publishers) for node in self._nodes.values())
-        return publishers + len(snapshot.publishers) <= MOST_PUBLISHERS and len(self._nodes) < MOST_NODES
+    @property
+    def _room(self) -> int:
+        return MOST_PUBLISHERS - sum(len(node.snapshot.publishers) for node in self._nodes.values())
 
     def see(self, graph: Graph) -> None:
         """Note what the graph shows now; the same object again is no change."""
@@ -114,6 +126,7 @@ class Nodes:
         topics = {row["topic"] for row in node.snapshot.publishers} - node.shown
         if new := {topic for topic in topics if self._graph.shows_writer(node.snapshot.node, topic)}:
             node.shown |= new
+            node.is_real = True
             node.states = self._live = None
 
     def relay(self, now_s: float) -> RelaySummary | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import defaultdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ class RateLimit:
     def __init__(self, most: float, *, period_s: float, most_sources: int = _MOST_SOURCES) -> None:
         self._most, self._period_s, self._most_sources = most, period_s, most_sources
         self._ends_s = -math.inf
-        self._passed: Counter[Hashable] = Counter()
+        self._passed: dict[Hashable, float] = defaultdict(float)
 
     def take(self, source: Hashable, now_s: float) -> bool:
         """Return whether one more of a source may pass now."""
@@ -32,6 +32,10 @@ class RateLimit:
             source = None
         self._passed[source] += 1
         return self._passed[source] <= self._most
+
+    def charge(self, source: Hashable, more: float) -> None:
+        """Let what a source has just had counted as one count for more."""
+        self._passed[source if source in self._passed else None] += more
 
 
 class OncePerMinute(RateLimit):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError, create_model
 
 from arpd.model.endpoints import (
+    MOST_PUBLISHERS,
     Direction,
     NodeSnapshot,
     PublisherState,
@@ -27,7 +28,6 @@ from arpd.ros.node_snapshot import (
     MOST,
     MOST_BYTES,
     MOST_NAMED,
-    MOST_OF_NODE,
     MOST_SECONDS,
     TOLD,
     shown_words,
@@ -65,7 +65,7 @@ Count = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 Seconds = Annotated[float, Field(ge=0.0, le=MOST_SECONDS)]
 T = TypeVar("T")
 # A short message may unfold to 400,000 faults, which took 2 s to write down; the first one is enough.
-Column = Annotated[list[T], Field(max_length=MOST_OF_NODE), FailFast()]
+Column = Annotated[list[T], Field(max_length=MOST_PUBLISHERS), FailFast()]
 Rates = Annotated[Column[Seconds | None], AfterValidator(_unpaced_as_infinite)]
 #: Of the fields of all records by the words that declare them, and of some by their names.
 KINDS: dict[str, Any] = {
@@ -124,6 +124,7 @@ _SNAPSHOT: Any = create_model(
     __base__=_Told,
     node=Name,
     publishers=(create_model("publishers", __base__=_Told, **_COLUMNS), ...),
+    left_out=(Count, 0),
     answer=(_record(PlanAnswer), NO_PLAN),
     lacks_profile=(bool, False),
     relay=(_record(RelaySummary) | None, None),
@@ -147,7 +148,7 @@ def decode_snapshot(data: bytes) -> NodeSnapshot:
         "lacks_profile": told.lacks_profile,
     }
     rows = _rows({name: values for name, values in vars(told.publishers).items() if values}, common)
-    return NodeSnapshot(node=told.node, answer=told.answer, publishers=rows, relay=told.relay)
+    return NodeSnapshot(node=told.node, answer=told.answer, publishers=rows, left_out=told.left_out, relay=told.relay)
 
 
 def _rows(columns: dict[str, list[Any]], common: dict[str, Any]) -> list[dict[str, Any]]:

@@ -17,13 +17,14 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.host.interface import InterfaceReader, is_radio, read_memory
 from arpd.host.radio import transmit_rate
-from arpd.model.endpoints import Direction, PublisherState
+from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
+from arpd.ros.node_snapshot import LONGEST_SNAPSHOT
 from arpd.ros.nodes import SILENT_S, Nodes
 from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.peer_reports import PeerReports
@@ -48,8 +49,17 @@ log = logging.getLogger(__name__)
 _LOOK_AROUND_S, _RADIO_S = 0.2, 1.0  # between two looks at the graph, and at the radio
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
 _MOST_SNAPSHOTS = 1000  # waiting for a tick
-# Nodes send 5 a second at most, with a tenth of these bytes for MOST_OF_NODE publishers; peers send 50.
-_SNAPSHOTS = Letters(topic=PUBLISHERS_TOPIC, decode=decode_snapshot, most_bytes=128 * 1024, most_hz=8.0)
+_LARGE = 4.0  # more messages that the largest snapshot counts for: it comes once a second, and takes long to read
+
+
+def _weigh(snapshot: NodeSnapshot | None) -> float:
+    return _LARGE if snapshot is None else _LARGE * len(snapshot.publishers) / MOST_PUBLISHERS
+
+
+# Nodes send 5 a second at most, and peers 50.
+_SNAPSHOTS = Letters(
+    topic=PUBLISHERS_TOPIC, decode=decode_snapshot, most_bytes=LONGEST_SNAPSHOT, most_hz=8.0, weigh=_weigh
+)
 _REPORTS = Letters(topic=REPORT_TOPIC, decode=decode_report, most_bytes=MOST_REPORT_BYTES, most_hz=60.0)
 _WHY = {
     MessageRefusal.UNANSWERED: "they answer no probe of this daemon",
@@ -149,6 +159,7 @@ class RosControl:
             refused=self._refused(),
             answers=self._sender.results,
             pending=self._nodes.pending,
+            left_out=self._nodes.left_out,
             relay=relay,
             is_relay_silent=self._has_two_ends and relay is None and now_s - self._began_s > SILENT_S,
             domain=self._domain,
@@ -190,7 +201,7 @@ class RosControl:
         while self._snapshots:
             writer, snapshot, at_s = self._snapshots.popleft()
             if not self._nodes.note(writer, snapshot, at_s):
-                words = f"too many publishers; those of {snapshot.node} are left out"
+                words = f"too many publishers; some or all of those of {snapshot.node} are left out"
                 self._inboxes[MessageKind.PUBLISHERS].refuse(MessageRefusal.QUOTA, writer, words)
 
     def _on_snapshot(self, sample: Sample, snapshot: NodeSnapshot) -> None:

@@ -84,14 +84,14 @@ def test_nonsense_is_refused_with_a_reason(node, announced, send, eventually, ro
 
 def test_publishers_beyond_what_a_node_may_tell_are_named(node, announced, eventually, monkeypatch, capfd):
     """A node with more publishers than a daemon takes says which one is left out, for example."""
-    monkeypatch.setattr(node_publishers, "MOST_OF_NODE", 2)
+    monkeypatch.setattr(node_publishers, "MOST_PUBLISHERS", 2)
     publishers = [AdaptivePublisher(node, String, f"/t{number}", 10) for number in range(4)]
     eventually("the others are told", lambda: [state.topic for state in announced.states] == ["/t0", "/t1"])
     said = []
 
     def is_said():
         said.append(capfd.readouterr().err)
-        return "arpd manages 2, and not /t2, for example" in "".join(said)
+        return "arpd manages 2 at most, and not /t2, for example" in "".join(said)
 
     eventually("it is named", is_said)
     assert len(publishers) == 4

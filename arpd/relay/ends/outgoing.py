@@ -197,8 +197,9 @@ class Outgoing:
         """Open the readers of topics that may be read."""
         for carried in self.carried.values():
             if carried.readers or carried.is_heard():
-                for topic in (carried.wanted & self.offers.keys()) - self.refused.keys():
-                    self._read(carried, topic, self.offers[topic])
+                for topic in carried.wanted:
+                    if topic in self.offers and topic not in self.refused:
+                        self._read(carried, topic, self.offers[topic])
             carried.expect(carried.wanted - self.refused.keys())
 
     def forget(self, link_names: Collection[str]) -> None:

@@ -18,7 +18,7 @@ from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.ros.rcl import InvalidHandle, status_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from rclpy.node import Node
 
@@ -61,16 +61,20 @@ class TopicReaders:
         self._thread, self._deliver_one = thread, deliver
         self._depth = depth
         self._readers: dict[WriterClass, RawReader] = {}
+        self._followed: tuple[WriterOffer, ...] = ()
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
         self._held: deque[tuple[WriterClass, Sample, float]] = deque(maxlen=_MOST_HELD)
         self._lock = threading.Lock()
 
-    def follow(self, writers: Iterable[WriterOffer]) -> None:
+    def follow(self, writers: tuple[WriterOffer, ...]) -> None:
         """Read every class of these writers, and deliver what waited for their names."""
-        for kind in {writer.kind for writer in writers} - self._readers.keys():
-            self._readers[kind] = self._reader(kind)
-        with self._lock:
-            self._deliver_held()
+        if writers is not self._followed:  # called ten times a second for each topic
+            for kind in {writer.kind for writer in writers} - self._readers.keys():
+                self._readers[kind] = self._reader(kind)
+            self._followed = writers
+        if self._held:
+            with self._lock:
+                self._deliver_held()
 
     def destroy(self) -> None:
         """Destroy the readers; a sample may still be delivered while this is called."""

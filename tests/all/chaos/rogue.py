@@ -10,11 +10,12 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
+from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.plan import PlanAnswer
 from arpd.model.probing import PeerReport, Train
 from arpd.ros.documents import expand, pack
 from arpd.ros.names import PRICE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
-from arpd.ros.node_snapshot import LIKELY, MOST_BYTES, encode_snapshot
+from arpd.ros.node_snapshot import LIKELY, LONGEST_SNAPSHOT, MOST_BYTES, encode_snapshot
 from arpd.ros.probe_messages import encode_report
 from tests.sample_publishers import publisher
 
@@ -53,12 +54,12 @@ def spoilt(data):
 snapshots = [snapshot(f"/rogue{k}", f"/invented{k}") for k in range(300)]
 snapshots += [snapshot("/rogue", *(f"/own{k}" for k in range(250))), snapshot("/rogue", honest_topic)]
 crowd = json.loads(expand(snapshots[-2], most_bytes=MOST_BYTES, likely=LIKELY))
-twice = {name: 2 * values for name, values in crowd["publishers"].items()}
-snapshots += [pack({**crowd, "publishers": twice}, likely=LIKELY), b"{}"]
+long = {name: (MOST_PUBLISHERS // 250 + 1) * values for name, values in crowd["publishers"].items()}
+snapshots += [pack({**crowd, "publishers": long}, likely=LIKELY), b"{}"]
 snapshots = [message(data) for data in snapshots]
 snapshots += [spoilt(draw.choice(snapshots)) for _ in range(100)]
 crowds = [message(snapshot(f"/crowd{k}", *(f"/of{k}/t{number}" for number in range(250)))) for k in range(WRITERS)]
-long = message(bytes(150_000))
+large = message(bytes(LONGEST_SNAPSHOT + 1))
 reports = [report("base", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
 prices = [serialize_message(Float64MultiArray(data=numbers)) for numbers in ([1.0], 1000 * [1.0])]
@@ -84,6 +85,6 @@ while True:
         for writer, data in zip(to_fill, crowds, strict=True):
             writer.publish(data)
     if batch % 5 == 1:
-        to_daemon.publish(long)
+        to_daemon.publish(large)
     due_s = max(due_s + 1 / BATCHES_HZ, time.monotonic())
     time.sleep(max(0.0, due_s - time.monotonic()))

@@ -40,6 +40,19 @@ def test_a_turn_that_finds_its_lane_taken_waits_until_it_is_free():
     thread.stop()
 
 
+def test_a_price_for_many_lanes_wakes_the_thread_and_asks_nobody(monkeypatch):
+    """To ask all lanes that wait at each of a thousand would take a second at every price."""
+    thread, asked = make(), []
+    monkeypatch.setattr(thread._queue, "due_s", lambda now_s: asked.append(now_s) or now_s + LONG_S)
+    lanes = [Lane(lambda _sample: None) for _ in range(100)]
+    for lane in lanes:
+        thread._queue.offer(lane, b"sample", 0.0)
+    thread._next_s = math.inf
+    for lane in lanes:
+        thread.retune(lane, None, None)
+    assert (thread._next_s, asked) == (0.0, [])
+
+
 def test_a_context_that_shuts_down_can_stop_it():
     """A context holds its lock while it calls `stop`, and takes the same one to tell whether it is alive."""
     context, asked = threading.Lock(), threading.Event()

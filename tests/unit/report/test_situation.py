@@ -65,15 +65,17 @@ def test_faults_stand_beside_the_verdict_the_worst_first():
     refused = {"to_base": {"/scan": "two types"}, "to_robot": {"/cmd": "not let in"}}
     ways = {way: RelayTopics(refused=topics) for way, topics in refused.items()}
     relay = RelaySummary(is_reachable=False, other_host="base", **ways)
-    parts = {"keys_awaiting_restart": ("http.port",), "observation": {"relay": relay}}
+    left_out = {"/relay": 44, "/node": 2}
+    parts = {"keys_awaiting_restart": ("http.port",), "observation": {"relay": relay, "left_out": left_out}}
     faulty = held(changed(config_error="a.yaml:1:1: x", **parts))
     faults = judge(faulty, now_s=FINISHED_AT_S + Condition.STALE.holds_s + 1.0).faults
-    wrong = ["stale", "reload_refused", "relay_cut", "relay_refuses", "unconfirmed"]
+    wrong = ["stale", "reload_refused", "relay_cut", "relay_refuses", "left_out", "unconfirmed"]
     assert [fault.condition for fault in faults if fault.condition.is_wrong] == wrong
     assert [fault.condition for fault in faults[len(wrong) :]] == ["restart_needed", "postponed"]
     assert "the last one finished 4 s ago" in faults[0].text
     assert "/cmd: not let in; also /scan" in faults[3].text
-    assert all(number in faults[4].text for number in ("2 of 3 publishers", "1 min"))
+    assert "46 publishers of /node and /relay have no plan" in faults[4].text
+    assert all(number in faults[5].text for number in ("2 of 3 publishers", "1 min"))
     assert judge(changed(), now_s=FINISHED_AT_S + Condition.STALE.holds_s).faults == ()
 
 

@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -68,6 +69,18 @@ def test_a_flood_of_one_writer_costs_no_other(letters):
     letters.take(letter(b"7", HIGH))
     assert letters.found == [*range(10), 7]
     assert letters.refused == {MessageRefusal.RATE: 990}
+
+
+def test_a_letter_that_takes_long_to_read_counts_for_several(letters, clock):
+    """So does one that cannot be read; in the next period its writer is heard again."""
+    weigh = {None: 4.0, 7: 4.0}
+    letters._letters = replace(letters._letters, weigh=lambda number: weigh.get(number, 0.0))
+    for content in (b"7", b"x", b"1", b"2"):
+        letters.take(letter(content))
+    assert (letters.found, letters.refused) == ([7], {MessageRefusal.MALFORMED: 1, MessageRefusal.RATE: 2})
+    clock.now_s = 2.0
+    letters.take(letter(b"3"))
+    assert letters.found == [7, 3]
 
 
 def test_nonsense_is_counted_by_reason_and_said_once_a_minute(letters, clock):

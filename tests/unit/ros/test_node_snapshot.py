@@ -2,6 +2,7 @@
 
 import json
 import random
+import string
 import zlib
 from dataclasses import fields, replace
 
@@ -12,11 +13,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from arpd.model.endpoints import Direction, PublisherState, RefusalReason, SwapRecord, WithheldCause
+from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState, RefusalReason, SwapRecord, WithheldCause
+from arpd.model.names import LONGEST_NAME
 from arpd.model.plan import PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.ros.documents import expand
-from arpd.ros.node_snapshot import JOINED, LIKELY, MOST_BYTES, MOST_OF_NODE, encode_snapshot
+from arpd.ros.node_snapshot import JOINED, LIKELY, LONGEST_SNAPSHOT, MOST_BYTES, MOST_WORDS, encode_snapshot
 from arpd.ros.snapshot_decoder import decode_snapshot
 from tests.examples import examples
 from tests.sample_publishers import publisher
@@ -62,7 +64,7 @@ RELAY = RelaySummary(
     calls_failed={"timeout": 5},
     strangers=("rviz",),
 )
-FULL = encode_snapshot("/n", [REPLACED], answer=ANSWER, lacks_profile=True, relay=RELAY)
+FULL = encode_snapshot("/n", [REPLACED], left_out=2, answer=ANSWER, lacks_profile=True, relay=RELAY)
 COLUMNS = {
     "topic": ["/t"],
     "type_name": ["t"],
@@ -106,6 +108,28 @@ def test_twenty_busy_publishers_take_less_than_two_kilobytes():
     assert len(encode_snapshot("/planner", busy, answer=ANSWER)) < 2000
 
 
+def test_as_many_publishers_as_a_daemon_manages_are_told_with_the_longest_names():
+    """All arrive, and twice as much would: of names that nobody can compress, and the longest of all other texts."""
+    draw = random.Random(1)
+    types, words = (f"{begin}{'x' * (MOST_WORDS - len(begin))}" for begin in ("package/msg/", "a reader refuses"))
+    many = [
+        replace(
+            REPLACED,
+            topic="/" + "".join(draw.choices(string.ascii_letters, k=LONGEST_NAME - 1)),
+            type_name=types,
+            refusal=words,
+            offered=draw.randrange(10**6),
+            published_rate_hz=round(draw.random(), 6),
+        )
+        for _ in range(MOST_PUBLISHERS)
+    ]
+    data = encode_snapshot("/n", many, left_out=7, answer=ANSWER, lacks_profile=True)
+    found = decode_snapshot(data)
+    assert (states(found), found.left_out) == (many, 7)
+    assert 2 * len(data) <= LONGEST_SNAPSHOT
+    assert 2 * len(expand(data, most_bytes=MOST_BYTES, likely=LIKELY)) <= MOST_BYTES
+
+
 def test_numbers_beyond_all_bounds_do_not_silence_a_node():
     """What the daemon would refuse is cut to what it takes."""
     absurd = replace(PLAIN, depth=10**7, payload_bytes=1e300, source_rate_hz=1e9, offered=2**70)
@@ -138,8 +162,9 @@ def spoilt(name, value):
         ("node", "no name"),
         ("answer", {"generation": 2**60}),
         ("publishers", {**COLUMNS, "depth": [1, 2]}),
-        ("publishers", {name: values * (MOST_OF_NODE + 1) for name, values in COLUMNS.items()}),
+        ("publishers", {name: values * (MOST_PUBLISHERS + 1) for name, values in COLUMNS.items()}),
         ("lacks_profile", 1),
+        ("left_out", -1),
         ("relay", {"other_host": 7}),
     ],
 )

@@ -1,21 +1,21 @@
 """Nodes and their publishers, as the daemon counts them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.endpoints import Direction
-from arpd.ros.nodes import MOST_NODES, MOST_PUBLISHERS, SILENT_S, Nodes
+from arpd.model.endpoints import MOST_PUBLISHERS, Direction, NodeSnapshot
+from arpd.model.plan import NO_PLAN
+from arpd.ros.nodes import MOST_NODES, SILENT_S, Nodes
 from tests.examples import examples
 
 
 def snapshot(node, *topics, **fields):
     neutral = {"type_name": "t", "direction": Direction.LOCAL, "payload_bytes": 0.0, "source_rate_hz": 0.0}
     usual = {**neutral, "node": node, "depth": 10, "baseline_depth": 10, **fields}
-    return SimpleNamespace(
-        node=node, publishers=[{**usual, "topic": topic} for topic in topics], relay=None, answer=None
-    )
+    return NodeSnapshot(node=node, answer=NO_PLAN, publishers=[{**usual, "topic": topic} for topic in topics])
 
 
 def shows(is_shown):
@@ -47,9 +47,28 @@ def test_entries_are_bounded():
     assert nodes.note(b"1", snapshot("/n", *full), 0.0)
     assert not nodes.note(b"2", snapshot("/m", "/t"), 0.0)
     assert nodes.note(b"1", snapshot("/n", "/t"), 0.0)
-    assert sum(nodes.note(f"w{k}".encode(), snapshot(f"/n{k}"), 0.0) for k in range(2 * MOST_NODES)) == MOST_NODES - 1
+    assert sum(nodes.note(f"w{k}".encode(), snapshot(f"/n{k}"), 0.0) for k in range(2 * MOST_NODES)) == MOST_NODES - 2
     nodes.see(shows(lambda _node, _topic: True))
     assert topics(nodes, 0.1) == ["/t"]
+
+
+def test_a_node_for_which_there_is_little_room_keeps_what_it_made_first():
+    """The rest is named, with what the node itself leaves out; once another node has gone, all are managed."""
+    nodes = Nodes()
+    nodes.see(shows(lambda node, _topic: node != "/invented"))
+    many = [f"/t{number}" for number in range(MOST_PUBLISHERS)]
+    nodes.note(b"1", replace(snapshot("/invented", *many), left_out=9), 0.0)
+    assert nodes.note(b"2", snapshot("/small", *many[:-2]), 0.1)
+    for now_s in (0.2, 1.2):
+        assert not nodes.note(b"3", replace(snapshot("/late", "/a", "/b", "/c"), left_out=4), now_s)
+        assert not nodes.note(b"4", snapshot("/last", "/d"), now_s)
+        assert nodes.left_out == {"/late": 5, "/last": 1}
+        late = [(state.node, state.topic) for state in nodes.live(now_s) if state.node != "/small"]
+        assert late == [("/late", "/a"), ("/late", "/b")]
+    nodes.live(0.1 + SILENT_S + 0.1)
+    assert nodes.note(b"3", snapshot("/late", "/a", "/b", "/c"), 5.0)
+    assert nodes.note(b"4", snapshot("/last", "/d"), 5.0)
+    assert (nodes.left_out, topics(nodes, 5.1)) == ({}, ["/d", "/a", "/b", "/c"])
 
 
 def test_inventions_give_way_to_what_the_graph_shows():

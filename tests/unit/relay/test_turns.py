@@ -1,0 +1,93 @@
+"""When the lanes of an end may leave: kept, and the same as asking each of them."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from arpd.endpoint.lane import SMALL_BYTES, Lane
+from arpd.model.plan import TopicPlan
+from arpd.relay.flight import Receipt
+from arpd.relay.link_queue import LinkQueue
+from tests.examples import examples
+from tests.unit.relay.test_link_queue import Link, price_of
+
+JUST_S = 1e-6
+ROWS = [
+    TopicPlan(rate_hz=rate_hz, min_rate_hz=0.2, deadline_ns=0, depth=1, weight=1.0, wire_bytes=900.0, packets=1)
+    for rate_hz in (0.5, 3.0, 200.0)
+]
+PRICES = [None, *(price_of(share) for share in (1e-4, 1e-2, 10.0))]
+LANES = 6
+lanes = st.integers(0, LANES - 1)
+events = st.one_of(
+    st.tuples(st.just("offer"), st.sampled_from([50, 800, SMALL_BYTES + 1])),
+    st.tuples(st.just("retune"), st.sampled_from(ROWS), st.sampled_from(PRICES)),
+    st.sampled_from([("remove",), ("take",), ("confirm",)]),
+)
+
+
+def is_known(times, lane, due_s, now_s):
+    """Return whether the lane is said to be ready when it is; at the very moment either will do."""
+    return abs(due_s - now_s) < JUST_S or (lane in times.ready(now_s, now_s)) is (due_s <= now_s)
+
+
+def act(queue, lane, what, about, now_s):
+    """Let something happen to a lane, or to all."""
+    if what == "offer":
+        queue.offer(lane, bytes(about[0]), now_s)
+    elif what == "retune":
+        queue.retune(lane, *about)
+    elif what == "remove":
+        queue.remove(lane)
+        queue.add(lane)
+    elif what == "take":
+        while queue.take(now_s) is not None:
+            pass
+    else:
+        queue.flight.confirm(Receipt(session=7, number=queue.flight.send(33, now_s)), now_s)
+
+
+def check(queue, lane, now_s):
+    """Compare what is kept of a lane with what it says itself."""
+    turns = queue._turns
+    known = {*turns.first.ready(math.inf, 0.0)}, {*turns.in_turn.ready(math.inf, 0.0)}
+    assert (lane in known[0], lane in known[1]) == (lane in queue._active and lane.is_small, lane in queue._active)
+    if lane in known[0]:
+        assert is_known(turns.first, lane, lane.due_s(now_s, in_turn=False), now_s)
+    if lane in known[1]:
+        turn_s = now_s - 1.0 if lane.current is not None else lane.due_s(now_s, in_turn=True)
+        assert is_known(turns.in_turn, lane, turn_s, now_s)
+        assert turns.finish[lane] == queue._finish(lane)
+
+
+@examples(60)
+@given(st.lists(st.tuples(lanes, events, st.floats(0.0, 0.3)), max_size=60))
+def test_what_is_kept_of_each_lane_is_what_it_says_itself(events):
+    """After any order of offers, plans, prices, departures and removals, no lane's time is an old one."""
+    queue, now_s = LinkQueue(7, 0.0, together=lambda _sample: None), 0.0
+    lanes = [Lane(lambda _sample: None, has_company=number % 2 == 0) for number in range(LANES)]
+    for lane in lanes:
+        queue.add(lane)
+    for number, (what, *about), wait_s in events:
+        act(queue, lanes[number], what, about, now_s)
+        now_s += wait_s
+        queue._turns.update(queue._active, now_s, finish=queue._finish)
+        for lane in lanes:
+            check(queue, lane, now_s)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.95])
+def test_a_thousand_topics_are_not_all_asked_for_each_sample(share, monkeypatch):
+    """On a link that carries a part of what they offer, a departure asks few lanes for their times."""
+    asked, due_s = [], Lane.due_s
+    monkeypatch.setattr(Lane, "due_s", lambda lane, *a, **more: (asked.append(lane), due_s(lane, *a, **more))[1])
+    link, topics = Link(capacity=625_000.0), 300
+    plan = TopicPlan(rate_hz=5.0, min_rate_hz=0.0, deadline_ns=0, depth=1, weight=1.0, wire_bytes=900.0, packets=1)
+    for number in range(topics):
+        link.lane(number, plan, price_of(share / topics), has_company=True)
+        link.after(number / topics, lambda number=number: link.publish(number, 3.5, 800))
+    link.run(2.0)
+    assert sum(map(len, link.arrived.values())) > topics
+    assert len(asked) / sum(map(len, link.arrived.values())) < 30
