@@ -130,9 +130,12 @@ def connect(options: argparse.Namespace, address: Address | None = None) -> Daem
     Raises
     ------
     UsageError
-        If there is a user without a password, or one whose password would cross the network in clear.
+        If there is a user without a password, or one whose password would cross the network in clear, or a CA without
+        TLS.
     """
     address = address or options.url
+    if options.cacert and not address.base.startswith("https:"):
+        raise UsageError("--cacert is for https://, which --url does not name")
     if options.user and PASSWORD not in os.environ:
         raise UsageError(
             f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Document = Mapping[str, Any]
 
-_FASTEST = "100gbit"  # as in the configuration
+_SLOWEST, _FASTEST = "8kbit", "100gbit"  # as in the configuration
 _LEAST_HZ, _MOST = 0.001, 1_000_000  # of rates (Hz), topics and samples
 _TEXT = """\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
@@ -156,8 +156,9 @@ def _solve_topics(options: argparse.Namespace) -> int:
         capacities = [RATE.parse(rate) for rate in options.capacity.split(",")]
     except ValueError as error:
         raise UsageError(f"--capacity: {error}") from None
-    if max(capacities) > RATE.parse(_FASTEST):
-        raise UsageError(f"--capacity: '{printable(options.capacity)}' is out of range; write at most {_FASTEST}")
+    if min(capacities) < RATE.parse(_SLOWEST) or max(capacities) > RATE.parse(_FASTEST):
+        wrong = printable(options.capacity)
+        raise UsageError(f"--capacity: '{wrong}' is out of range; write {_SLOWEST} to {_FASTEST}")
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     if options.backend:
         settings = replace(settings, program=replace(settings.program, backend=Backend(options.backend)))

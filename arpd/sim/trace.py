@@ -23,6 +23,7 @@ _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?
 # Larger values belong to no link, and sums of bytes over time would lose their precision.
 _MOST = {"time_s": 1e7, "rate_bit_per_s": 1e12, "rate_mbit_per_s": 1e5, "loss": 1.0}
 _MOST_MS = 10**10
+_MOST_BYTES = 64_000_000  # somebody may name a recording of the robot
 _DELIVERY_BYTES = 1500
 # A trace with a line per packet gives a rate per span. In 20 ms, 1 Mbit/s has 1.7 packets; arpd ignores shorter queues.
 _BIN_MS = 20
@@ -65,7 +66,11 @@ def read_trace(path: Path) -> LinkTrace:
         If the file cannot be read or is of no kind; the message names the line and the way out.
     """
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        with path.open("rb") as file:
+            raw = file.read(_MOST_BYTES + 1)
+        if len(raw) > _MOST_BYTES:
+            raise TraceError(f"{path}: is larger than {_MOST_BYTES / 1e6:g} MB; give a CSV or a mahimahi trace")
+        text = raw.decode("utf-8-sig")
     except OSError as error:
         raise TraceError(f"{path}: cannot be read ({error.strerror}); give a CSV or a mahimahi trace") from error
     except UnicodeDecodeError as error:

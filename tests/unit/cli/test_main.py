@@ -51,6 +51,8 @@ TOPICS = "--sensing 11 --actuation 0"
         ("solve --config x --capacity 5mbit --rmin 5", "--rmax"),
         ("solve --config x", "--capacity"),
         ("solve --config x --capacity 5", "--capacity"),
+        ("solve --config x --capacity 5mbit,0mbit", "8kbit"),
+        ("status --cacert ca.crt --url http://robot:9464", "https://"),
     ],
 )
 def test_wrong_usage_exits_2(run, line, word):

@@ -27,6 +27,13 @@ def written(tmp_path):
     return write
 
 
+def test_a_recording_of_something_else_is_not_read_whole(written, monkeypatch):
+    """Its size is enough to refuse it."""
+    monkeypatch.setattr("arpd.sim.trace._MOST_BYTES", 9)
+    with pytest.raises(TraceError, match=r"link.trace: is larger than "):
+        read_trace(written("1\n2\n3\n4\n5\n"))
+
+
 def steps_of(trace):
     return [(step.start_s, step.rate_bytes_per_second) for step in trace.rates.steps]
 
