@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from arpd.model.relay import RelaySummary
     from arpd.report.conditions import Event
     from arpd.report.topic_rows import Topic
-    from arpd.web.api import History, Status
+    from arpd.web.api import History, Plan, Status
 
     Show = Callable[[float], str]
     Worst = Callable[[Iterable[float]], float]
@@ -123,7 +123,7 @@ class Frame:
         queue = [format_duration(link.queue_delay_s)]
         queue += [] if link.loss_ratio is None else [f"loss {format_share(link.loss_ratio)}"]
         queue += [] if link.return_delay_s is None else [f"return delay {format_duration(link.return_delay_s)}"]
-        capacity = f"{format_rate(link.capacity_bytes_per_second)} ({link.kind}, {link.state})"
+        capacity = f"{format_rate(link.capacity_bytes_per_second)} ({link.kind}, {link.state.words})"
         allowed = f"{format_share(status.allowed_ratio)} above the minimum rates"
         courses: list[tuple[str, str, str, Worst, Show]] = [
             ("link", capacity, "capacity_bytes_per_second", fmean, format_rate),
@@ -144,11 +144,10 @@ class Frame:
 def _facts(status: Status, width: int) -> list[Text]:
     """Return everything but courses, log and topics, each fact in two lines at most."""
     plan = status.plan
-    confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
     facts = [
         ("traffic", _traffic(status)),
         ("evidence", status.link.evidence),
-        ("plan", f"{plan.generation} for {format_rate(plan.level_bytes_per_second)}: {confirms}"),
+        ("plan", _plan(plan)),
         ("", "; ".join(filter(None, [plan.reason, *(f"refused {refusal}" for refusal in plan.refusals)]))),
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
@@ -162,6 +161,15 @@ def _facts(status: Status, width: int) -> list[Text]:
         if fact
         for line in wrapped(f"{label:{_LABEL}}{fact}", width, indent=_LABEL)
     ]
+
+
+def _plan(plan: Plan) -> str:
+    confirms = confirmed(confirmed=plan.confirmed, publishers=plan.publishers, paced_only=plan.paced_only)
+    return (
+        f"{plan.generation} for {format_rate(plan.level_bytes_per_second)}: {confirms}"
+        if plan.generation
+        else "none yet"
+    )
 
 
 def _traffic(status: Status) -> str:

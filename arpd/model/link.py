@@ -28,6 +28,11 @@ class LinkState(StrEnum):
     DRAINING = "draining"
     OUTAGE = "outage"
 
+    @property
+    def words(self) -> str:
+        """The state as people read it."""
+        return "not filled" if self is LinkState.APP_LIMITED else self.value
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkEstimate:

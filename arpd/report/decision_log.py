@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from arpd.model.quantities import format_duration, printable
+from arpd.model.settings import AUTO
 from arpd.report.conditions import MESSAGE_IDS, Condition, Event, Finding, Happening, Severity
 from arpd.report.log_plan import PlanLog
 from arpd.report.log_rates import RatesLog
@@ -111,6 +112,7 @@ def _end(condition: Condition, lasted_s: float) -> Event:
 
 
 def _started(snapshot: Snapshot) -> Event:
-    text = f"arpd {snapshot.version} manages {snapshot.interface}"
+    link = "no link yet" if snapshot.interface == AUTO else snapshot.interface
+    text = f"arpd {snapshot.version} manages {link}"
     details = {"version": snapshot.version, "interface": snapshot.interface, "config": snapshot.config_path}
     return Event(Happening.STARTED, Severity.INFO, text, details=details)

@@ -73,7 +73,7 @@ def _level(part: str, snapshot: Snapshot, situation: Situation, *, now_s: float)
     if found := next((each for each in situation.findings if each.condition.part == part), None):
         return _LEVEL_OF[found.condition.severity], found.text
     return Level.OK, {
-        "link": f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state}",
+        "link": f"{format_rate(snapshot.link.capacity_bytes_per_second)}, {snapshot.link.state.words}",
         "plan": f"plan {snapshot.decision.plan.generation}: {who_confirmed(snapshot)}",
         "configuration": f"in force since {_time(snapshot.config_loaded_at_s)}",
     }[part]

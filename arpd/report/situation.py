@@ -323,7 +323,7 @@ def status_line(snapshot: Snapshot | None) -> str:
 def _figures(snapshot: Snapshot) -> str:
     link, decision = snapshot.link, snapshot.decision
     return (
-        f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state}, "
+        f"{link.capacity_bytes_per_second * 8e-6:.1f} Mbit/s ({link.kind}, {link.state.words}, "
         f"{link.cross_traffic_bytes_per_second * 8e-6:.1f} cross traffic), "
         f"allowed {format_share(round(decision.allowed * _STEPS) / _STEPS)}, "
         f"plan {decision.plan.generation}: {who_confirmed(snapshot)}"

@@ -78,7 +78,7 @@ class Plan:
     generation : grows with every new plan; 0 = no plan
     reason : why the last tick changed the plan; empty if it did not
     refusals : reasons for which swaps that are due wait (``budget``)
-    level_bytes_per_second : lasting budget that the plan was made for (bytes/s on the wire)
+    level_bytes_per_second : last lasting budget that the plan fitted (bytes/s on the wire)
     topics, publishers : topics in the plan, and their live publishers
     confirmed, paced_only : publishers that announce the plan, and those that refuse new QoS for good
     """

@@ -157,7 +157,7 @@ def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
     yield _family("link_budget_bytes_per_second", text, allocation.capacity_bytes_per_second)
     text = "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed."
     yield _family("allowed_ratio", text, snapshot.decision.allowed)
-    text = "Lasting budget that the plan in force was made for."
+    text = "Last lasting budget that the plan in force fitted."
     yield _family("level_bytes_per_second", text, plan.level_bytes_per_second)
     statuses = _states("status", AllocationStatus, allocation.status)
     yield _family("allocation_status", "1 marks the status of the allocation.", statuses)

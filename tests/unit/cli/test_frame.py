@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from contextlib import suppress
 from functools import reduce
 from operator import getitem
@@ -12,6 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.errors import ArpdError
+from arpd.model.link import LinkState
+from arpd.model.plan import QosPlan
+from arpd.web.handlers import ASSETS
 from tests.examples import examples
 from tests.unit.drawn import printed
 from tests.unit.fake_daemon import HISTORY, busy, document, event
@@ -38,6 +42,14 @@ def test_a_frame_has_the_numbers_of_the_status():
     assert [line.partition("event ")[2] for line in lines if "event " in line] == [
         f"{n} [bold]:boom:" for n in range(4, 9)
     ]
+
+
+def test_before_a_plan_there_is_none_and_a_state_has_the_words_of_the_page():
+    """Zeros of a plan that nobody made would be numbers, and a key of the API no words."""
+    lines = printed(document(link={"state": LinkState.APP_LIMITED}, decision={"plan": QosPlan()}))
+    assert [line for line in lines if line.startswith("plan ")] == ["plan     none yet"]
+    words = re.search(r'app_limited: "([^"]+)"', (ASSETS / "fields.js").read_text())[1]
+    assert words in next(line for line in lines if line.startswith("link "))
 
 
 @pytest.mark.parametrize("width", [60, 80, 132, 250])
