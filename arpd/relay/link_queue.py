@@ -256,7 +256,8 @@ class LinkQueue(PacedQueue):
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
             room -= sum(map(len, messages))
-            is_full |= is_due and each in self._active and self._comes_first(each, now_s)
+            left = each in self._active and (not messages or (is_due and self._comes_first(each, now_s)))
+            is_full |= left
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
@@ -321,7 +322,11 @@ class LinkQueue(PacedQueue):
     def _settle(self, now_s: float) -> None:
         if self._is_settled:
             return
+        before = self._price
         super()._settle(now_s)
+        if self._price != before:
+            for lane in self._active:
+                self._turns.touch(lane)
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))

@@ -1,6 +1,8 @@
 """When the lanes of an end may leave: kept, and the same as asking each of them."""
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -11,7 +13,7 @@ from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
 from tests.examples import examples
-from tests.unit.relay.test_link_queue import Link, price_of
+from tests.unit.relay.test_link_queue import CAPACITY, ROW, Link, price_of
 
 JUST_S = 1e-6
 ROWS = [
@@ -91,3 +93,15 @@ def test_a_thousand_topics_are_not_all_asked_for_each_sample(share, monkeypatch)
     link.run(2.0)
     assert sum(map(len, link.arrived.values())) > topics
     assert len(asked) / sum(map(len, link.arrived.values())) < 30
+
+
+def test_many_small_topics_fill_a_link_that_they_overload():
+    """Their packets follow each other while the link has time left, though together they cost less than each alone."""
+    link = Link(capacity=CAPACITY / 4)
+    price = replace(price_of(1.0 / 40), capacity_bytes_per_second=link.capacity)
+    for number in range(40):
+        name = f"topic {number}"
+        link.lane(name, replace(ROW, rate_hz=62.5, wire_bytes=700.0, packets=1), price, has_company=True)
+        link.after(0.0005 * number, partial(link.publish, name, 50.0, 400))
+    link.run(2.0)
+    assert link.run(5.0).total() / 5.0 > 0.9
