@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
@@ -147,12 +146,12 @@ class LinkTopic(Carried):
 
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
-        flow = replace(self._lane.state(time.monotonic()), blocked_s=self._thread.queue.held_s)
+        flow = self._lane.state(time.monotonic()).counted()
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self.topic_name,
             type_name=type_name_of(UInt8MultiArray),
             direction=Direction.LOCAL,
             baseline_depth=self.baseline.depth,
-            **flow.counted(),
+            **{**flow, "blocked_s": self._thread.queue.held_s},
         )
