@@ -161,8 +161,10 @@ class Daemon:
 
     def _plan(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Solve for the budget of this moment and for the lasting one, let the governor decide, and send its plan."""
-        traffic = measured_traffic(seen.publishers) if self._estimator.has_evidence else ()
-        topics = rows_of_traffic(traffic, self.settings)
+        topics: Sequence[Topic] = rows_of_traffic(measured_traffic(seen.publishers), self.settings)
+        if not self._estimator.has_evidence:
+            self._governor.expect(seen.now_s, topics)
+            topics = ()
         memory_bytes = memory_budget_bytes(seen.memory, self.settings.program)
         # A history stands for a part of the link, so what lasts needs the capacity that lasts.
         capacity, overhead_s = self._budget.lasting

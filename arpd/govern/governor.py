@@ -18,7 +18,7 @@ from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from arpd.model.allocation import Allocation, Topic
     from arpd.model.endpoints import PublisherState
@@ -71,6 +71,10 @@ class Governor:
         """Plan nothing; the next `decide` starts without a plan."""
         self._begin()
         return Decision(plan=self.plan)
+
+    def expect(self, now_s: float, topics: Sequence[Topic]) -> None:
+        """Note the topics while the capacity is not known yet: they settle meanwhile."""
+        self._note_crowd(now_s, {topic.name for topic in topics}, 0)
 
     def decide(
         self,
@@ -199,11 +203,14 @@ class Governor:
 
     def _is_settled(self) -> bool:
         """Return whether no topic has come or gone for the debounce, or some have all the time for the dwell."""
-        g, now_s, crowd = self._settings.governor, self._now_s, (self._wanted.rows.keys(), self._now_sharing)
-        if crowd != self._crowd:
-            self._crowd, self._same_since_s = crowd, now_s
+        g, now_s = self._settings.governor, self._now_s
+        self._note_crowd(now_s, self._wanted.rows.keys(), self._now_sharing)
         self._differs_since_s = min(self._differs_since_s, now_s)
         return now_s - self._same_since_s >= g.debounce_s or now_s - self._differs_since_s >= g.dwell_s
+
+    def _note_crowd(self, now_s: float, names: Collection[str], sharing: int) -> None:
+        if (crowd := (frozenset(names), sharing)) != self._crowd:
+            self._crowd, self._same_since_s = crowd, now_s
 
     def _lasting_cause(self) -> str:
         """Return the cause of a plan whose reason has lasted.

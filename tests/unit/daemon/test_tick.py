@@ -174,6 +174,18 @@ def test_it_plans_twice_a_second_and_at_once_on_news():
     assert (daemon.record.counted, daemon.snapshot.totals.ticks) == (3, 11)
 
 
+def test_topics_that_have_settled_are_planned_when_the_capacity_is_known():
+    """A daemon that starts waits for the capacity and for its topics at the same time, not for one after the other."""
+    world, link = Robot(), KnownLink()
+    world.change(source_rate_hz=100.0, remote_readers=1)
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
+    for tick in range(40):
+        link.has_evidence = tick >= 15
+        if daemon.tick(0.1 * tick).reason:
+            break
+    assert (tick, daemon.snapshot.decision.reason) == (15, "start")
+
+
 def test_the_price_follows_the_link_within_a_tick():
     """The tick that sees another capacity sends another price, and no plan."""
     world, link = Robot(), KnownLink()
