@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from arpd.endpoint.lane import Lane
+from arpd.endpoint.lane import CATCH_UP, Lane
 from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import FlowState, Overflow, SwapResult, WithheldCause, Writer, WriterQos
 from arpd.model.plan import TopicPlan
@@ -17,10 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
-# Samples that a swap held leave at twice their rate. A burst would crowd the link, and push samples out of a small
-# history of the writer or a reader.
-_CATCH_UP = 0.5
-_LEAST_CATCH_UP_HZ = 10.0
+_LEAST_FLOWING_HZ = 10.0  # of samples that a swap held
 # A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
 _PATIENCE_S = 4.0
 _NO_LOCK = nullcontext()
@@ -190,7 +187,7 @@ class Flow(Generic[W]):
     def _release(self) -> None:
         """Write what a swap held, at twice the rate at which it came."""
         while self._held and not self._swap.is_holding and (now_s := self._clock()) >= self._catch_up_s:
-            spacing_s = _CATCH_UP / max(_LEAST_CATCH_UP_HZ, self._flowing_hz(now_s))
+            spacing_s = 1.0 / (CATCH_UP * max(_LEAST_FLOWING_HZ, self._flowing_hz(now_s)))
             # A caller that comes late may write two more.
             self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s
             self._write(self._held.popleft())

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST = 10.0
-_CATCH_UP = 2.0  # times its usual rate at which an ordered line leaves after a wait; a burst would overrun its readers
+#: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
+CATCH_UP = 2.0
 _DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long, and enough for so long before, costs no small sample
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
-_NO_PLAN = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
+_UNPLANNED = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill 0..1 evenly and repeat nothing
 
 
@@ -120,7 +121,7 @@ class Lane:
         self.is_kept = is_kept
         self._weight = weight
         self._patience_s = patience_s
-        self._first_s = math.inf  # when its first sample came
+        self._begun_waiting_s = math.inf  # when its first sample came
         self.claimant: int | None = None
         self.blocked_s = 0.0
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
@@ -132,7 +133,7 @@ class Lane:
         self._begun_s = 0.0
         self._floor_s = math.inf
         self._has_floor_turn = False
-        self.plan: TopicPlan | None = None
+        self.plan = _UNPLANNED
         self.price: Price | None = None
         self.current: UnderWay | None = None
         self._last: tuple[Hashable, float] = (None, -math.inf)  # source of the message that left last, and when
@@ -148,12 +149,12 @@ class Lane:
     @property
     def weight(self) -> float:
         """Share of the link relative to other lanes."""
-        return self.plan.weight if self.plan is not None and self.plan.weight > 0.0 else self._weight
+        return self.plan.weight if self.plan.weight > 0.0 else self._weight
 
     @property
     def link_share(self) -> float | None:
         """Share of the link time that its rate takes at the price; None where a topic with samples has no plan yet."""
-        if self.plan is None or self.price is None:
+        if self.price is None:
             return 0.0
         if self.plan.wire_bytes > 0.0:
             return self.rate_hz * self.price.cost_s(self.plan)
@@ -174,21 +175,19 @@ class Lane:
         """Size of what is left of the message under way, or of the next one."""
         return self.next_bytes if self.current is None else len(self.current.message) - self.current.offset
 
-    def is_unbound(self, now_s: float) -> bool:
-        """Return whether it waits for no share of the link, because it has waited for a plan in vain."""
-        return now_s >= self._first_s + self._patience_s and (self.plan is None or self.plan.wire_bytes <= 0.0)
+    @property
+    def unbound_s(self) -> float:
+        """When it waits for no share of the link any more, because it has waited for a plan in vain (s)."""
+        return math.inf if self.plan.wire_bytes > 0.0 else self._begun_waiting_s + self._patience_s
 
-    def retune(self, plan: TopicPlan | None, price: Price | None) -> None:
-        """Take a plan and a price; None = there is none."""
+    def retune(self, plan: TopicPlan, price: Price | None) -> None:
+        """Take a plan and a price; None = no daemon is there."""
         self.plan, self.price = plan, price
-        if plan is None:
-            self.rate_hz = self._cap.rate_hz = self._allowed.rate_hz = self._floor_s = math.inf
-            return
         self.rate_hz = allowed_hz = plan.rate_hz if price is None else price.rate_hz(plan)
         cap_hz = plan.rate_hz
         if self._is_ordered:
             self._depth = self._large_depth = plan.depth
-            cap_hz = max(cap_hz, min(_CATCH_UP * cap_hz, plan.max_rate_hz))
+            cap_hz = max(cap_hz, min(CATCH_UP * cap_hz, plan.max_rate_hz))
             allowed_hz = allowed_hz if allowed_hz < plan.rate_hz else cap_hz
         self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
         self._allowed.retune(allowed_hz, usual_hz=plan.rate_hz)
@@ -227,7 +226,7 @@ class Lane:
 
     def admit(self, message: bytes, now_s: float) -> bool:
         """Let a message pass at once where none waits and the rates allow it; return whether it did."""
-        if self._lines or self.current is not None or self.due_s(now_s, in_turn=False) > now_s:
+        if self._lines or self.current is not None or self.due_s(now_s) > now_s:
             return False
         self._note(message, now_s)
         self._cap.spend(1.0)
@@ -236,10 +235,17 @@ class Lane:
         self.sent_rate.count(now_s)
         return True
 
-    def due_s(self, now_s: float, *, in_turn: bool) -> float:
-        """Return when the next message may begin: by its allowed rate, or ``in_turn``, by its cap alone (s)."""
-        due_s = self._cap.due_s(now_s)
-        return due_s if in_turn else max(due_s, self._allowed.due_s(now_s))
+    def due_s(self, now_s: float) -> float:
+        """Return when the next message may begin by its allowed rate (s)."""
+        return max(self._cap.due_s(now_s), self._allowed.due_s(now_s))
+
+    def first_s(self, now_s: float) -> float:
+        """Return when it may leave before those that wait for a share of the link (s)."""
+        return self.due_s(now_s) if self.is_small else max(self.due_s(now_s), self.unbound_s)
+
+    def spare_s(self, now_s: float) -> float:
+        """Return when it may leave if the link has time to spare: by its cap, or at once if it is under way (s)."""
+        return self._cap.due_s(now_s) if self.current is None else -math.inf
 
     def is_behind(self, now_s: float) -> bool:
         """Return whether the topic is below its floor."""
@@ -298,7 +304,7 @@ class Lane:
         rates = [meter.rate_hz(now_s) for meter in (self.offered_rate, self.sent_rate)]
         self.offered_rate.mark(now_s)
         self.sent_rate.mark(now_s)
-        withheld, plan = dict(self.withheld), self.plan or _NO_PLAN
+        withheld, plan = dict(self.withheld), self.plan
         return FlowState(
             payload_bytes=self.payload_bytes,
             source_rate_hz=rates[0],
@@ -326,7 +332,7 @@ class Lane:
         if self.payload_bytes:
             self.payload_bytes += 0.1 * (len(message) - self.payload_bytes)
         else:
-            self._first_s, self.payload_bytes = now_s, float(len(message))
+            self._begun_waiting_s, self.payload_bytes = now_s, float(len(message))
 
     def _most_small(self, waiting: int, now_s: float) -> int:
         """Return how many small samples of a source may wait.

@@ -40,6 +40,19 @@ class Ready(NamedTuple):
     sample: bytes
 
 
+class Times(dict["Lane", float]):
+    """When each of some lanes may leave (s)."""
+
+    @property
+    def due_s(self) -> float:
+        """When the first of them may, ``inf`` = there is none (s)."""
+        return min(self.values(), default=math.inf)
+
+    def ready(self, now_s: float) -> list[Lane]:
+        """Return the lanes that may leave now, in their order."""
+        return [lane for lane, due_s in self.items() if due_s <= now_s]
+
+
 class PacedQueue:
     """Decides which topic's message leaves next; each crosses whole, and nobody tells what has arrived.
 
@@ -85,8 +98,8 @@ class PacedQueue:
         self._active.pop(lane, None)
         self._is_settled = False
 
-    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
-        """Give a lane its plan and the price; None = there is none."""
+    def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = no daemon is there."""
         lane.retune(plan, price)
         self._is_settled = False
 
@@ -119,7 +132,7 @@ class PacedQueue:
         if len(message) > SMALL_BYTES or lane.claimant is not None or not lane.admit(message, now_s):
             return False
         self._settle(now_s)
-        if self._price is not None and lane.plan is not None:
+        if self._price is not None:
             debt_s = self._drain(now_s) + self._price.cost_s(lane.plan)
             self._debt_s = max(self._debt_s, min(debt_s, _MOST_SMALL_DEBT_S))
         return True
@@ -129,7 +142,7 @@ class PacedQueue:
         if lane.claimant is not None or lane not in self._active or not self._is_open(now_s):
             return None
         self._settle(now_s)
-        is_first = self._comes_first(lane, now_s)
+        is_first = lane.first_s(now_s) <= now_s
         if not is_first and ((chosen := self._choose(now_s)) is None or chosen[0] is not lane):
             return None
         return self._begin(lane, now_s, is_first=is_first)
@@ -139,15 +152,10 @@ class PacedQueue:
         if not self._active or not self._is_open(now_s):
             return math.inf
         self._settle(now_s)
-        free = [lane for lane in self._active if lane.claimant is None]
-        first_s = min(
-            (self._due_s(lane, now_s, in_turn=False) for lane in free if lane.is_small or lane.is_unbound(now_s)),
-            default=math.inf,
-        )
+        first_s = self._first(now_s).due_s
         if first_s <= now_s or not self._has_room():
             return first_s
-        in_turn_s = min((self._turn_s(lane, now_s) for lane in free), default=math.inf)
-        return min(first_s, max(in_turn_s, self._free_s(now_s)))
+        return min(first_s, max(self._in_turn(now_s).due_s, self._free_s(now_s)))
 
     @property
     def is_waiting(self) -> bool:
@@ -168,33 +176,31 @@ class PacedQueue:
 
     def _choose(self, now_s: float) -> tuple[Lane, bool] | None:
         """Return the lane whose turn it is, and whether it comes before large ones; None where nothing may leave."""
-        for lane in self._active:
-            if self._comes_first(lane, now_s):
-                return lane, True
+        if first := self._first(now_s).ready(now_s):
+            return first[0], True
         if self._free_s(now_s) > now_s + SOON_S or not self._has_room():
             return None
-        ready = [lane for lane in self._active if lane.claimant is None and self._turn_s(lane, now_s) <= now_s]
-        if not ready:
+        if not (ready := self._in_turn(now_s).ready(now_s)):
             return None
-        return min(ready, key=lambda lane: (not lane.is_behind(now_s), self._finish(lane))), False
+        behind = [lane for lane in ready if lane.is_behind(now_s)]
+        return min(behind or ready, key=self._finish), False
+
+    def _first(self, now_s: float) -> Times:
+        """Return when the messages may leave that wait for no share of the link."""
+        return Times((lane, lane.first_s(now_s)) for lane in self._active if lane.claimant is None)
+
+    def _in_turn(self, now_s: float) -> Times:
+        """Return when messages may leave that wait for a share of the link."""
+
+        def due_s(lane: Lane) -> float:
+            return lane.due_s(now_s) if lane.link_share is not None else max(lane.due_s(now_s), self._unplanned_s)
+
+        return Times((lane, due_s(lane)) for lane in self._active if lane.claimant is None)
 
     def _finish(self, lane: Lane) -> float:
         """Return the virtual time at which the message of a lane ends, or so far of the rest that others may wait."""
         capacity = 0.0 if self._price is None else self._price.capacity_bytes_per_second
         return lane.start + min(_AHEAD * lane.left_bytes, _UNBROKEN_S * capacity) / lane.weight
-
-    def _turn_s(self, lane: Lane, now_s: float) -> float:
-        """Return when a message may leave that waits for a share of the link (s)."""
-        due_s = self._due_s(lane, now_s, in_turn=False)
-        return due_s if lane.link_share is not None else max(due_s, self._unplanned_s)
-
-    def _comes_first(self, lane: Lane, now_s: float) -> bool:
-        """Return whether the next message leaves now, before those that wait for a share of the link."""
-        is_free = lane.claimant is None and (lane.is_small or lane.is_unbound(now_s))
-        return is_free and self._due_s(lane, now_s, in_turn=False) <= now_s
-
-    def _due_s(self, lane: Lane, now_s: float, *, in_turn: bool) -> float:
-        return lane.due_s(now_s, in_turn=in_turn)
 
     def _leave(self, lane: Lane, now_s: float, *, is_first: bool) -> Ready | None:
         sample = self._begin(lane, now_s, is_first=is_first)
@@ -206,7 +212,7 @@ class PacedQueue:
         if current is None:
             del self._active[lane]
             return None
-        is_first = is_first and (len(current.message) <= SMALL_BYTES or lane.is_unbound(now_s))
+        is_first = is_first and (len(current.message) <= SMALL_BYTES or now_s >= lane.unbound_s)
         part = self._cut(lane, current, now_s, is_first=is_first)
         self.sent_bytes += int(part.wire_bytes)
         self._count(lane, part, now_s, is_first=is_first)
@@ -235,7 +241,7 @@ class PacedQueue:
         if not is_first:
             self._virtual = max(self._virtual, min([lane.start, *(each.start for each in self._active)]))
             lane.start += part.wire_bytes / lane.weight
-        if price is not None and not lane.is_unbound(now_s):
+        if price is not None and now_s < lane.unbound_s:
             cost_s = part.packets * price.packet_overhead_s + part.wire_bytes / price.capacity_bytes_per_second
             if lane.link_share is None and not is_first:
                 self._unplanned_s = now_s + cost_s / max(LEAST_SHARE, price.spare_share)

@@ -104,8 +104,8 @@ class WritingThread:
         """Count the lanes."""
         return len(self._queue)
 
-    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
-        """Give a lane its plan and the price; None = there is none."""
+    def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = no daemon is there."""
         with self._lock:
             self._queue.retune(lane, plan, price)
             if self._queue.is_waiting:  # a price comes for a thousand lanes: the thread looks once what that changes

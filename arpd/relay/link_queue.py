@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane
-from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready
+from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
@@ -66,8 +66,7 @@ class LinkQueue(PacedQueue):
         self.flight = Flight()
         self._coach = Lane(together)
         self._turns = Turns()
-        self._departs_s = -math.inf  # when the next messages leave together
-        self._expects_s = -math.inf  # the same where others will most likely have come
+        self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
         self._was_out = False
         self._received = Received()
@@ -168,8 +167,8 @@ class LinkQueue(PacedQueue):
         super().remove(lane)
         self._turns.touch(lane)
 
-    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
-        """Give a lane its plan and the price; None = there is none."""
+    def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = no daemon is there."""
         super().retune(lane, plan, price)
         self._turns.touch(lane)
 
@@ -194,7 +193,7 @@ class LinkQueue(PacedQueue):
             self._was_out = False
             for each in self._active:
                 each.give_up_old()
-                self._turns.touch(each)
+            self._turns.touch(*self._active)
         return super().take(now_s)
 
     def due_s(self, now_s: float) -> float:
@@ -204,30 +203,18 @@ class LinkQueue(PacedQueue):
         nor a chunk whose receipt is not due.
         """
         expected = (each_s for each_s in (self._expects_s, self._received.expects_s) if each_s > now_s)
-        return min([self._next_s(now_s), *expected])
+        return min([super().due_s(now_s), *expected])
 
-    def _next_s(self, now_s: float) -> float:
-        if not self._active or not self._is_open(now_s):
-            return math.inf
-        self._settle(now_s)
-        self._turns.update(self._active, now_s, finish=self._finish)
-        first_s = self._turns.first.due_s(self._departs_s)
-        if first_s <= now_s or not self._has_room():
-            return first_s
-        return min(first_s, max(self._turns.in_turn.due_s(self._departs_s), self._free_s(now_s)))
+    def _first(self, now_s: float) -> Times:
+        self._turns.update(self._active, now_s, finish=super()._finish)
+        return self._turns.first
 
-    def _choose(self, now_s: float) -> tuple[Lane, bool] | None:
-        self._turns.update(self._active, now_s, finish=self._finish)
-        for lane in self._turns.first.ready(now_s, self._departs_s):
-            if lane.claimant is None:
-                return lane, True
-        if self._free_s(now_s) > now_s + SOON_S or not self._has_room():
-            return None
-        ready = [lane for lane in self._turns.in_turn.ready(now_s, self._departs_s) if lane.claimant is None]
-        if not ready:
-            return None
-        behind = [lane for lane in ready if lane.is_behind(now_s)]
-        return min(behind or ready, key=self._turns.finish.__getitem__), False
+    def _in_turn(self, now_s: float) -> Times:
+        self._turns.update(self._active, now_s, finish=super()._finish)
+        return self._turns.in_turn
+
+    def _finish(self, lane: Lane) -> float:
+        return self._turns.finish[lane]
 
     def _is_open(self, now_s: float) -> bool:
         return self.flight.has_room(is_small=True) and not self._is_out(now_s)
@@ -238,17 +225,14 @@ class LinkQueue(PacedQueue):
     def _has_room(self) -> bool:
         return self.flight.has_room(is_small=False)
 
-    def _due_s(self, lane: Lane, now_s: float, *, in_turn: bool) -> float:
-        due_s = super()._due_s(lane, now_s, in_turn=in_turn)
-        return max(due_s, self._departs_s) if lane.has_company else due_s
-
     def _leave(self, lane: Lane, now_s: float, *, is_first: bool) -> Ready | None:
         """Return the message of a lane, and what leaves together with it; None where all that waited had expired."""
         if not lane.has_company:
             return super()._leave(lane, now_s, is_first=is_first)
-        boarding = {lane: is_first, **{each: True for each in self._turns.first.company(now_s) if each is not lane}}
+        first = self._turns.first.together.ready(now_s)
+        boarding = {lane: is_first, **{each: True for each in first if each is not lane}}
         if self._free_s(now_s) <= now_s + SOON_S:
-            in_turn = [each for each in self._turns.in_turn.company(now_s) if each not in boarding]
+            in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
         room, misses, is_full = _TOGETHER_BYTES, 0, False
@@ -256,13 +240,14 @@ class LinkQueue(PacedQueue):
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
             room -= sum(map(len, messages))
-            left = each in self._active and (not messages or (is_due and self._comes_first(each, now_s)))
+            left = each in self._active and (not messages or (is_due and each.first_s(now_s) <= now_s))
             is_full |= left
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
-        self._departs_s = now_s if is_full else now_s + self._company_s
-        self._expects_s = self._departs_s if len(aboard) > 1 else -math.inf
+        departs_s = now_s if is_full else now_s + self._company_s
+        self._turns.wait_for_company(departs_s)
+        self._expects_s = departs_s if len(aboard) > 1 else -math.inf
         if not aboard:
             return None
         message = b"".join(message for _, message in aboard)
@@ -279,7 +264,7 @@ class LinkQueue(PacedQueue):
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
         """Return what leaves of a lane together with others: one message, and all that its rate and the room allow."""
         aboard: list[bytes] = []
-        while lane in self._active and lane.next_bytes <= room and (not aboard or self._comes_first(lane, now_s)):
+        while lane in self._active and lane.next_bytes <= room and (not aboard or lane.first_s(now_s) <= now_s):
             if (current := lane.begin(now_s)) is None:
                 del self._active[lane]
                 break
@@ -324,9 +309,8 @@ class LinkQueue(PacedQueue):
             return
         before = self._price
         super()._settle(now_s)
-        if self._price != before:
-            for lane in self._active:
-                self._turns.touch(lane)
+        if self._price != before:  # by which every message may keep others waiting, of lanes without a price, too
+            self._turns.touch(*self._active)
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))

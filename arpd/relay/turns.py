@@ -5,38 +5,47 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from arpd.endpoint.queue import Times
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
     from arpd.endpoint.lane import Lane
 
 
-class _Times:
-    """When each lane may leave (s), the longest there first; lanes that wait for company stand apart."""
+class KeptTimes(Times):
+    """When each lane may leave, the longest there first.
+
+    Attributes
+    ----------
+    together : the same of lanes that wait for company, which stand there alone
+    departs_s : when these may leave at the earliest (s)
+    """
 
     def __init__(self) -> None:
-        self._alone: dict[Lane, float] = {}
-        self._together: dict[Lane, float] = {}
+        super().__init__()
+        self.together, self.departs_s = Times(), -math.inf
 
     def set(self, lane: Lane, due_s: float) -> None:
-        here, other = (self._together, self._alone) if lane.has_company else (self._alone, self._together)
+        """Keep when a lane may leave (s)."""
+        here, other = (self.together, self) if lane.has_company else (self, self.together)
         here[lane] = due_s
         other.pop(lane, None)
 
     def drop(self, lane: Lane) -> None:
-        self._alone.pop(lane, None)
-        self._together.pop(lane, None)
+        """Forget a lane."""
+        self.pop(lane, None)
+        self.together.pop(lane, None)
 
-    def due_s(self, departs_s: float) -> float:
-        together_s = min(self._together.values(), default=math.inf)
-        return min(min(self._alone.values(), default=math.inf), max(together_s, departs_s))
+    @property
+    def due_s(self) -> float:
+        """When the first one may leave, ``inf`` = there is none (s)."""
+        return min(super().due_s, max(self.together.due_s, self.departs_s))
 
-    def ready(self, now_s: float, departs_s: float) -> list[Lane]:
-        alone = [lane for lane, due_s in self._alone.items() if due_s <= now_s]
-        return alone + self.company(now_s) if departs_s <= now_s else alone
-
-    def company(self, now_s: float) -> list[Lane]:
-        return [lane for lane, due_s in self._together.items() if due_s <= now_s]
+    def ready(self, now_s: float) -> list[Lane]:
+        """Return the lanes that may leave now, those that wait for nobody first."""
+        alone = super().ready(now_s)
+        return alone + self.together.ready(now_s) if self.departs_s <= now_s else alone
 
 
 class Turns:
@@ -53,13 +62,13 @@ class Turns:
     """
 
     def __init__(self) -> None:
-        self.first, self.in_turn = _Times(), _Times()
+        self.first, self.in_turn = KeptTimes(), KeptTimes()
         self.finish: dict[Lane, float] = {}
         self._touched: dict[Lane, None] = {}
 
-    def touch(self, lane: Lane) -> None:
-        """Ask a lane again: its rates, or what waits there, are others now."""
-        self._touched[lane] = None
+    def touch(self, *lanes: Lane) -> None:
+        """Ask lanes again: their rates, or what waits there, are others now."""
+        self._touched |= dict.fromkeys(lanes)
 
     def move(self, lane: Lane) -> None:
         """Ask it again, and put it behind the others: it has something to send since now, or a message has left."""
@@ -67,6 +76,10 @@ class Turns:
         self._touched[lane] = None
         self.first.drop(lane)
         self.in_turn.drop(lane)
+
+    def wait_for_company(self, departs_s: float) -> None:
+        """Let the messages that leave together wait until then (s)."""
+        self.first.departs_s = self.in_turn.departs_s = departs_s
 
     def update(self, active: Collection[Lane], now_s: float, *, finish: Callable[[Lane], float]) -> None:
         """Ask the lanes that were touched; ``active`` are those with something to send."""
@@ -77,9 +90,6 @@ class Turns:
                 self.finish.pop(lane, None)
                 continue
             self.finish[lane] = finish(lane)
-            if lane.is_small:
-                self.first.set(lane, lane.due_s(now_s, in_turn=False))
-            else:
-                self.first.drop(lane)
-            self.in_turn.set(lane, -math.inf if lane.current is not None else lane.due_s(now_s, in_turn=True))
+            self.first.set(lane, lane.first_s(now_s))
+            self.in_turn.set(lane, lane.spare_s(now_s))
         self._touched.clear()

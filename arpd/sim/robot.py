@@ -71,8 +71,8 @@ class SimulatedThread:
         self._queue.offer(lane, sample, self.timeline.now_s)
         self.run()
 
-    def retune(self, lane: Lane, plan: TopicPlan | None, price: Price | None) -> None:
-        """Give a lane its plan and the price; None = there is none."""
+    def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
+        """Give a lane its plan and the price; None = no daemon is there."""
         self._queue.retune(lane, plan, price)
         self.run()
 

@@ -257,8 +257,8 @@ class End:
             refused=self._refused,
         )
         if state != self._told:
+            self._told = state
             self.link.tell(encode_state(state))
-        self._told = state  # also one that equals it: it has the objects of the last look, which compare at once
 
     def _send_call(self, record: bytes, source: int) -> None:
         """Let a record wait for its turn, in the place of one of this source; a large one on its way is not repeated.

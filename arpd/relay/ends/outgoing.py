@@ -134,7 +134,9 @@ class Outgoing:
         planned = {name: each.planned for name, each in self.carried.items() if any(each.planned)}
         if planned != self._planned and (now_s := time.monotonic()) >= self._planned_s:
             self._planned, self._planned_s = planned, now_s + _PLANS_S
-        self.offers = {name: self._offer(name, found) for name, found in self._topics.items() if found.writers}
+        offers = {name: self._offer(name, found) for name, found in self._topics.items() if found.writers}
+        if offers != self.offers:  # else the same objects, which compare at once
+            self.offers = offers
 
     def _offer(self, name: str, found: Surveyed) -> TopicOffer:
         link_name = self._groups.get(name, name)

@@ -68,7 +68,7 @@ class TopicReaders:
 
     def follow(self, writers: tuple[WriterOffer, ...]) -> None:
         """Read every class of these writers, and deliver what waited for their names."""
-        if writers is not self._followed:  # called ten times a second for each topic
+        if writers != self._followed:
             for kind in {writer.kind for writer in writers} - self._readers.keys():
                 self._readers[kind] = self._reader(kind)
             self._followed = writers

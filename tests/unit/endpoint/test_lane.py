@@ -40,7 +40,7 @@ def play(lane, arrivals):
     for (now_s, source, number), (next_s, *_) in pairwise([*sorted(arrivals), (math.inf,)]):
         lane.offer(b"%4d" % number, now_s, source=source)
         looked_s = now_s
-        while len(lane) and (due_s := lane.due_s(looked_s, in_turn=False)) < next_s:
+        while len(lane) and (due_s := lane.due_s(looked_s)) < next_s:
             looked_s = due_s
             departures.append((due_s, *leave(lane, due_s)))
     return departures

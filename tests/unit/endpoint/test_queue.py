@@ -40,7 +40,7 @@ class Participant:
     def topic(self, name, row, **options):
         self.lanes[name] = lane = Lane(lambda sample: self.left[name].append((self.now_s, sample)), **options)
         self.queue.add(lane)
-        self.queue.retune(lane, row, self.price)
+        self.queue.retune(lane, row or lane.plan, self.price)
 
     def offer(self, name, size=LARGE):
         self.queue.offer(self.lanes[name], repr(self.now_s).encode().ljust(size), self.now_s)

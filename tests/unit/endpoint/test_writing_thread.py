@@ -49,7 +49,7 @@ def test_a_price_for_many_lanes_wakes_the_thread_and_asks_nobody(monkeypatch):
         thread._queue.offer(lane, b"sample", 0.0)
     thread._next_s = math.inf
     for lane in lanes:
-        thread.retune(lane, None, None)
+        thread.retune(lane, lane.plan, None)
     assert (thread._next_s, asked) == (0.0, [])
 
 

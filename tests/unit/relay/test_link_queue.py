@@ -49,7 +49,8 @@ class Link:
     def lane(self, name, plan=None, price=None, **options):
         self.lanes[name] = Lane(partial(self.write, name, Assembly()), **options)
         self.queue.add(self.lanes[name])
-        self.queue.retune(self.lanes[name], plan, price)
+        if plan is not None:
+            self.queue.retune(self.lanes[name], plan, price)
         return self.lanes[name]
 
     def after(self, wait_s, act):

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
+from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
@@ -32,7 +33,8 @@ events = st.one_of(
 
 def is_known(times, lane, due_s, now_s):
     """Return whether the lane is said to be ready when it is; at the very moment either will do."""
-    return abs(due_s - now_s) < JUST_S or (lane in times.ready(now_s, now_s)) is (due_s <= now_s)
+    times.departs_s = now_s
+    return abs(due_s - now_s) < JUST_S or (lane in times.ready(now_s)) is (due_s <= now_s)
 
 
 def act(queue, lane, what, about, now_s):
@@ -54,14 +56,12 @@ def act(queue, lane, what, about, now_s):
 def check(queue, lane, now_s):
     """Compare what is kept of a lane with what it says itself."""
     turns = queue._turns
-    known = {*turns.first.ready(math.inf, 0.0)}, {*turns.in_turn.ready(math.inf, 0.0)}
-    assert (lane in known[0], lane in known[1]) == (lane in queue._active and lane.is_small, lane in queue._active)
-    if lane in known[0]:
-        assert is_known(turns.first, lane, lane.due_s(now_s, in_turn=False), now_s)
-    if lane in known[1]:
-        turn_s = now_s - 1.0 if lane.current is not None else lane.due_s(now_s, in_turn=True)
-        assert is_known(turns.in_turn, lane, turn_s, now_s)
-        assert turns.finish[lane] == queue._finish(lane)
+    is_active = lane in queue._active
+    assert [lane in times.ready(math.inf) for times in (turns.first, turns.in_turn)] == [is_active, is_active]
+    if is_active:
+        assert is_known(turns.first, lane, lane.first_s(now_s), now_s)
+        assert is_known(turns.in_turn, lane, lane.spare_s(now_s), now_s)
+        assert turns.finish[lane] == PacedQueue._finish(queue, lane)
 
 
 @examples(60)
@@ -75,7 +75,7 @@ def test_what_is_kept_of_each_lane_is_what_it_says_itself(events):
     for number, (what, *about), wait_s in events:
         act(queue, lanes[number], what, about, now_s)
         now_s += wait_s
-        queue._turns.update(queue._active, now_s, finish=queue._finish)
+        queue._first(now_s)
         for lane in lanes:
             check(queue, lane, now_s)
 
