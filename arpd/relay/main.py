@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import re
+import secrets
 import sys
 import threading
 import time
@@ -141,8 +142,9 @@ def check_deaf_to_itself(node: Node) -> None:
     RosUnavailableError
         If endpoints of one participant match each other.
     """
-    publisher = node.create_publisher(UInt8MultiArray, "~/check", 1)
-    subscription = node.create_subscription(UInt8MultiArray, "~/check", lambda _sample: None, 1)
+    topic = f"~/check_{secrets.token_hex(4)}"  # ends of several robots on one host have one name, and start at once
+    publisher = node.create_publisher(UInt8MultiArray, topic, 1)
+    subscription = node.create_subscription(UInt8MultiArray, topic, lambda _sample: None, 1)
     time.sleep(0.1)
     hears_itself = publisher.get_subscription_count() > 0
     node.destroy_subscription(subscription)

@@ -1,10 +1,14 @@
 """The process of one end: its watchdog, its stop, and what it refuses."""
 
 import signal
+from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 from std_msgs.msg import String
 from test_msgs.srv import BasicTypes
+
+from arpd.relay.main import check_deaf_to_itself
 
 PROFILE = """<?xml version="1.0"?>
 <profiles xmlns="http://www.eprosima.com"><participant profile_name="own" is_default_profile="true"/></profiles>
@@ -20,6 +24,30 @@ def test_a_profile_that_lets_an_end_hear_itself_is_named_by_its_variable(world, 
     log = (tmp_path / "robot.log").read_text()
     assert "fastdds.ignore_local_endpoints=true" in log
     assert log.rstrip().endswith(f"or unset {variable}")
+
+
+class Named:
+    """A node of one name among others of it, whose readers are seen at once, but not by the writers of its own."""
+
+    readers: ClassVar = []
+
+    def create_subscription(self, _type, topic, _callback, _depth):
+        self.readers.append((topic, self))
+
+    def create_publisher(self, _type, topic, _depth):
+        others = [reader for reader in self.readers if reader[0] == topic and reader[1] is not self]
+        return SimpleNamespace(get_subscription_count=lambda: len(others))
+
+    def destroy_subscription(self, _subscription):
+        """Leave it, as an end that starts at the same moment does."""
+
+    destroy_publisher = destroy_subscription
+
+
+def test_ends_that_start_at_once_on_one_host_do_not_take_each_other_for_themselves():
+    """The far ends of several robots have the name of their host, and start together when it boots."""
+    for _end in range(3):
+        check_deaf_to_itself(Named())
 
 
 def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(
