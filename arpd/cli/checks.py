@@ -270,6 +270,12 @@ def fragments(_here: Here, *, proc: Path = kernel.PROC) -> Finding:
     )
 
 
+def daemon(here: Here) -> Finding:
+    """Judge what the daemon says of itself, as `arpd status` does; each sentence has its own way out."""
+    said = [each.text for each in (here.status.verdict, *here.status.faults) if each.wrong]
+    return wrong(" ".join(said)) if said else fine(here.status.verdict.text)
+
+
 def profile(here: Here) -> Finding:
     """Judge whether the processes of all AdaptivePublishers have arpd's Fast DDS profile."""
     if not (lacking := sorted({topic.node for topic in here.status.topics if topic.confirmed.lacks_profile})):
@@ -336,6 +342,6 @@ def configuration(here: Here) -> Finding:
 
 
 CHECKS = (
-    *(clock, power_save, signal, region, mtu, discovery, transports, receive_buffers, fragments),
+    *(daemon, clock, power_save, signal, region, mtu, discovery, transports, receive_buffers, fragments),
     *(profile, rmw, versions, units, configuration),
 )

@@ -20,21 +20,20 @@ _LISTEN_S = 6.0  # a participant announces itself every three seconds
 _MOST_LISTEN_S = 600.0
 _MOST_LINES = 6
 _TEXT = """\
-Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: clocks that differ between
-the ends, Wi-Fi power save, a weak signal, no regulatory domain, small packets, datagrams that the kernel lost for want
-of memory, discovery of other nodes on the link, nodes whose transports do not meet arpd's, AdaptivePublishers without
-arpd's Fast DDS profile, another middleware than Fast DDS, versions of arpd that do not fit, units that do not run,
-faults of the configuration.
+Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: what the daemon finds wrong
+(as in `arpd status`), clocks that differ between the ends, Wi-Fi power save, a weak signal, no regulatory domain, small
+packets, datagrams that the kernel lost for want of memory, discovery of other nodes on the link, nodes whose transports
+do not meet arpd's, AdaptivePublishers without arpd's Fast DDS profile, another middleware than Fast DDS, versions of
+arpd that do not fit, units that do not run, faults of the configuration.
 
-It changes nothing, and needs no root. The clock, the profile and the daemon's version come from the daemon: on the
+It changes nothing, and needs no root. Its findings, the clock, the profile and its version come from the daemon: on the
 base computer, name the robot with --url (http.host in its configuration opens the port).
 
 examples:
   arpd doctor                                on the robot
   arpd doctor --url http://robot.local:9464  on the base computer
   arpd doctor --far                          on the base computer, when the robot's port is closed
-  arpd doctor --verbose                      what is fine, too
-  arpd doctor --json | jq '.checks[] | select(.health == "wrong")'
+  arpd doctor --json                         what is fine, too
 
 exit codes: 0 nothing to do (a check may not have been possible), 1 something to do, 2 wrong usage, 78 no such FILE"""
 
@@ -53,7 +52,6 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="time to listen to discovery, 0 = do not (default %(default)g)",
     )
-    parser.add_argument("-v", "--verbose", action="store_true", help="show what is fine, too")
     add_json(parser)
 
 
@@ -67,7 +65,7 @@ def _doctor(options: argparse.Namespace) -> int:
         end, interface = "base" if here.is_far else "robot", here.found_interface or None
         print(json.dumps({"ok": is_well, "end": end, "interface": interface, "checks": checks}, indent=2))
     else:
-        print("\n".join(lines(findings, width=width_of_output(), is_verbose=options.verbose)))
+        print("\n".join(lines(findings, width=width_of_output())))
     return 0 if is_well else 1
 
 
@@ -83,21 +81,20 @@ def check_up(here: Here) -> dict[str, Finding]:
     return findings
 
 
-def lines(findings: Mapping[str, Finding], *, width: int, is_verbose: bool = False) -> list[str]:
+def lines(findings: Mapping[str, Finding], *, width: int) -> list[str]:
     """Lay findings out for a terminal: what is wrong, each with its remedies, what is not known, and a count.
 
     No sentence is wider; a remedy stays in one line, so that it can be copied.
     """
     alike: dict[tuple[str, Finding], list[str]] = {}
-    for title, health in {"wrong": "wrong", "not known": "unknown", "fine": "fine"}.items():
+    for title, health in {"wrong": "wrong", "not known": "unknown"}.items():
         for about, each in findings.items():
             if each.health == health:
                 alike.setdefault((title, each), []).append(about)
     shown = []
     for (title, each), abouts in alike.items():
-        if title != "fine" or is_verbose:
-            shown += wrapped(f"{title}: {', '.join(abouts)}: {each.text}", width, indent=2, most=_MOST_LINES)
-            shown += [f"    {remedy}" for remedy in each.remedies]
+        shown += wrapped(f"{title}: {', '.join(abouts)}: {each.text}", width, indent=2, most=_MOST_LINES)
+        shown += [f"    {remedy}" for remedy in each.remedies]
     wrong, unknown, fine = (
         sum(each.health == health for each in findings.values()) for health in ("wrong", "unknown", "fine")
     )

@@ -245,8 +245,7 @@ def _show_events(moments: Sequence[Moment]) -> None:
         if is_out != (before.state is LinkState.OUTAGE):
             rows.append([at_s, "outage" if is_out else "outage over", ""])
         if moment.cause:
-            levels = (before.level_bytes_per_second, moment.level_bytes_per_second)
-            rows.append([at_s, moment.cause, " -> ".join(format_rate(level) for level in levels if level)])
+            rows.append([at_s, moment.cause, format_rate(moment.level_bytes_per_second)])
     show(fitted(rows[: _MOST_EVENTS + 1], words=rows[0]) if rows[1:] else "arpd made no plan")
     if (more := len(rows) - 1 - _MOST_EVENTS) > 0:
         show(f"and {more} more; --json has the whole course")

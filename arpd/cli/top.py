@@ -19,7 +19,7 @@ from rich.live import Live
 
 from arpd.cli.client import connect
 from arpd.cli.frame import Frame
-from arpd.cli.options import Command, add_address, within
+from arpd.cli.options import Command, add_address
 from arpd.model.errors import ArpdError, UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 _QUIT_KEYS = b"qQ\x03"
-_LEAST_INTERVAL_S, _MOST_INTERVAL_S = 0.2, 3600.0
+_INTERVAL_S = 1.0
 _HISTORY_EVERY_S = 10.0  # a sparkline shows ten minutes in fewer than 60 columns
 _TEXT = """\
 Show live what `arpd status` prints once, as far as it fits the terminal. q or Ctrl-C ends it.
@@ -35,18 +35,10 @@ It waits for a daemon that goes away.
 
 examples:
   arpd top
-  arpd top --url http://robot.local:9464 --interval 5
+  arpd top --url http://robot.local:9464
   ARPD_PASSWORD=… arpd top --url https://robot.local:9464 --cacert ca.crt --user robot
 
 exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start"""
-
-
-def _add_options(parser: argparse.ArgumentParser) -> None:
-    add_address(parser)
-    interval = within(_LEAST_INTERVAL_S, _MOST_INTERVAL_S, parse=float)
-    parser.add_argument(
-        "--interval", type=interval, default=1.0, metavar="S", help="seconds between updates (default 1)"
-    )
 
 
 def _top(options: argparse.Namespace) -> int:
@@ -61,7 +53,7 @@ def _top(options: argparse.Namespace) -> int:
             seen, console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )
         with _keyboard() as is_ended, live:
-            while not is_ended(options.interval):
+            while not is_ended(_INTERVAL_S):
                 try:
                     seen = replace(seen, status=daemon.status(), why_silent="")
                     answered_s = time.monotonic()
@@ -103,4 +95,4 @@ def _keyboard() -> Iterator[Callable[[float], bool]]:
             termios.tcsetattr(keyboard, termios.TCSANOW, modes)
 
 
-TOP = Command(_TEXT, _add_options, _top)
+TOP = Command(_TEXT, add_address, _top)

@@ -65,7 +65,7 @@ class NotKnownError(ArpdError):
 
 
 class LinkError(ArpdError):
-    """Link interface that cannot be read (gone, renamed, or never there)."""
+    """Link that cannot be used: its interface, a new address of it, or an unknown name of its other end."""
 
 
 #: What to do where Python finds no ROS 2.

@@ -121,7 +121,7 @@ class GovernorSettings(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HttpSettings(Section):
-    """Settings of the server of metrics, health and status.
+    """Settings of the server of metrics, status and page.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class HttpSettings(Section):
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
-    web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]{1,4096}$"), OrWord(NONE)] = None
+    web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]+$", max_length=4096), OrWord(NONE)] = None
 
     @property
     def netloc(self) -> str:

@@ -1,4 +1,4 @@
-"""The daemon after a tick, as one immutable value; metrics, health, status and log have no other source."""
+"""The daemon after a tick, as one immutable value; metrics, status and log have no other source."""
 
 from __future__ import annotations
 

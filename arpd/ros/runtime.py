@@ -6,12 +6,13 @@ import logging
 import math
 import os
 import signal
+import socket
 import time
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.errors import GET_ROS, RosUnavailableError
+from arpd.model.errors import GET_ROS, LinkError, RosUnavailableError
 from arpd.model.wire import MOST_DOMAIN
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
     It has none of a node's usual services, of parameters and type descriptions, because nobody spins it. Raises
-    RosUnavailableError if ROS 2 cannot be imported here, or does not start.
+    RosUnavailableError if ROS 2 cannot be imported here, or does not start, and LinkError if the name of the link's
+    other end leads to no address.
 
     Parameters
     ----------
@@ -87,6 +89,11 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
             )
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
+        if link and not _has_address(link.peer):
+            raise LinkError(
+                f"relay.robot or relay.base: this computer knows no address of {link.peer}; make its name known here "
+                f"(getent hosts {link.peer}), or write its address"
+            ) from error
         raise RosUnavailableError(
             f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
         ) from error
@@ -95,6 +102,14 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     finally:
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+def _has_address(name: str) -> bool:
+    """Return whether this computer finds an address for a name; none is asked for where there is no name."""
+    try:
+        return not name or bool(socket.getaddrinfo(name, None))
+    except OSError:
+        return False
 
 
 def _require_ports(context: Any) -> None:

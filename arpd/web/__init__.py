@@ -1,1 +1,1 @@
-"""HTTP: metrics, health, status."""
+"""HTTP: metrics, status, page."""

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from arpd.web.access import Access
     from arpd.web.documents import Documents
 
-HEALTHY_S = 10.0  # a daemon without a tick for longer hangs; the watchdog of systemd has the same limit
 ASSETS = Path(__file__).parent / "assets"
 _HEADERS = {
     "Server": "arpd",
@@ -51,7 +50,6 @@ class Site(Application):
     def __init__(self, *, documents: Documents, access: Access) -> None:
         self.documents = documents
         self.access = access
-        self.started_at_s = documents.clock()
         super().__init__(
             [
                 (r"/()", _Asset, {"path": ASSETS, "default_filename": "page.html"}),
@@ -59,7 +57,6 @@ class Site(Application):
                 (r"/(metrics)", _Document),
                 (r"/api/v1/(status|history)", _Document),
                 (r"/api/v1/schema/(status|history)-v1\.json", _Schema),
-                (r"/-/(healthy|ready)", _Health),
             ],
             default_handler_class=_Nothing,
             compress_response=True,
@@ -130,23 +127,5 @@ class _Schema(_Guarded):
     def get(self, name: str) -> None:
         self.set_header("Content-Type", "application/schema+json")
         self.write(schema_of({"status": Status, "history": History}[name], name))
-
-    head = get
-
-
-class _Health(_Guarded):
-    def get(self, what: str) -> None:
-        documents, wrong = self.site.documents, ""
-        snapshot = documents.snapshot()
-        # Before the first tick the start counts, so that a slow start is no hang.
-        since_s = documents.clock() - (snapshot.finished_at_s if snapshot else self.site.started_at_s)
-        if what == "ready" and snapshot is None:
-            wrong = "not ready: no tick has finished yet"
-        elif what == "healthy" and since_s >= HEALTHY_S:
-            last = "the last tick finished" if snapshot else "no tick has finished since the start"
-            wrong = f"unhealthy: {last} {since_s:.1f} s ago; the limit is {HEALTHY_S:.0f} s"
-        if wrong:
-            self.set_status(HTTPStatus.SERVICE_UNAVAILABLE)
-        self.write(f"{wrong or what}\n")
 
     head = get

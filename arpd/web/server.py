@@ -45,7 +45,7 @@ _STOP_S = 2.0
 
 
 class HttpServer:
-    """Serves metrics, health, status and page; without a free port the daemon governs all the same.
+    """Serves metrics, status and page; without a free port the daemon governs all the same.
 
     Parameters
     ----------

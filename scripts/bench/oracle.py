@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd.daemon.run import run_daemon
-from arpd.host.interface import read_counters
+from arpd.host.netlink import read_counters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.sim.oracle import Oracle
 from arpd.sim.schedule import RateSchedule, RateStep, Service

@@ -20,7 +20,7 @@ import psutil
 
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.account import Account
-from scripts.bench.child import Child, becomes_true
+from scripts.bench.child import Child, ChildError, becomes_true
 from scripts.bench.links import at
 from scripts.bench.nodes import BASE_SINK, CALLER, ROBOT_SINK
 from scripts.bench.oracle import write_truth
@@ -121,6 +121,8 @@ class World:
             times = self.begin(seconds)
             write_truth(self._truth, course, times["from_s"])
             spent = self.follow(course, times["from_s"], seconds, events=events)
+            if spent["ended"] and not events:  # who lets processes end counts those that end by themselves
+                raise ChildError(f"{' and '.join(spent['ended'])} ended by itself in the round")
             self.link.set_rate(rate)
             self.link.set_loss(0.0)
             account = self.report(times, drain_s)

@@ -1,4 +1,4 @@
-"""`arpd run` on its own: a taken port, a missing interface, and a stop."""
+"""`arpd run` on its own: a taken port, a missing interface, an unknown name, and a stop."""
 
 import json
 import socket
@@ -19,3 +19,13 @@ def test_without_a_port_and_an_interface_it_runs_and_stops_cleanly(arpd, tmp_pat
     process.terminate()
     assert process.wait(timeout=PATIENCE_S) == 0
     assert "Traceback" not in log()
+
+
+def test_an_end_whose_name_nobody_knows_is_named(arpd, tmp_path, eventually):
+    """It is no fault of ROS, and the message says which key to look at."""
+    (tmp_path / "arpd.yaml").write_text(json.dumps({"relay": {"link_domain": 77, "base": "no-such-host.invalid"}}))
+    process = arpd("run", "--config", tmp_path / "arpd.yaml")
+    eventually("it ends", lambda: process.poll() is not None)
+    said = (tmp_path / "log").read_text().splitlines()[-1]
+    assert (process.returncode, said.startswith("arpd: relay.robot or relay.base: this computer")) == (1, True)
+    assert "no-such-host.invalid" in said

@@ -44,7 +44,7 @@ class Running:
         self.server = server
         self.address = ("127.0.0.1", server.port)
 
-    def get(self, path="/-/healthy", *, tls=None, **headers):
+    def get(self, path="/", *, tls=None, **headers):
         connection = (
             HTTPSConnection("localhost", self.server.port, timeout=60.0, context=tls)
             if tls

@@ -47,10 +47,11 @@ def computer(monkeypatch):
 def doctor(run, config):
     """Run ``arpd doctor``, of a daemon of this version with one peer and one publisher, or of none."""
 
-    def doctor(*options, text=None, offset_s=None, lacks_profile=False):
+    def doctor(*options, text=None, offset_s=None, lacks_profile=False, faults=()):
         answered = document()
         clock = {"offset_s": offset_s, "uncertainty_s": 0.001}
         answered |= {"version": __version__, "peers": [{"peer": "base", "report_age_s": 0.1, "clock": clock}]}
+        answered["faults"] = list(faults)
         answered["topics"][0]["confirmed"]["lacks_profile"] = lacks_profile
         with serving(json.dumps(answered)) as url:
             address = "http://127.0.0.1:1" if offset_s is None else url
@@ -66,7 +67,7 @@ def healths(out):
 def test_what_is_well_is_only_counted(doctor):
     """The exit code is 0, with --json too."""
     code, out, err = doctor(offset_s=0.0)
-    assert (code, out, err) == (0, "14 checks fine\n", "")
+    assert (code, out, err) == (0, "15 checks fine\n", "")
     code, out, _ = doctor("--json", offset_s=0.0)
     assert (code, json.loads(out)["ok"], set(healths(out).values())) == (0, True, {"fine"})
 
@@ -89,10 +90,22 @@ def test_an_ill_computer_shows_what_to_do(doctor, computer):
         *(["wrong", about] for about in ("clock", "power save", "mtu", "profile", "units")),
         ["not known", "region"],
     ]
-    assert shown[-1] == "5 things to do, 8 checks fine, 1 not known"
+    assert shown[-1] == "5 things to do, 9 checks fine, 1 not known"
     for number in ("1.5 s behind", "1280", "    sudo apt install chrony", "    sudo iw dev wlan0 set power_save off"):
         assert number in out
-    assert len(doctor("--verbose", offset_s=-1.5, lacks_profile=True)[1].splitlines()) == len(shown) + 8
+
+
+def test_what_the_daemon_finds_wrong_comes_first(doctor):
+    """Who is told that something is wrong asks the doctor next, on the base computer, too."""
+    silent = {
+        "condition": "peer_lost",
+        "severity": "error",
+        "headline": "",
+        "text": "The peer is silent.",
+        "wrong": True,
+    }
+    code, out, _ = doctor(offset_s=0.0, faults=[silent])
+    assert (code, out.splitlines()[0]) == (1, "wrong: daemon: The peer is silent.")
 
 
 @pytest.mark.parametrize(
@@ -116,7 +129,9 @@ def test_a_daemon_without_a_port_is_not_known(run, config):
     """The file may give it none, so nobody can ask it."""
     code, out, err = run("doctor", "--json", "--config", config("http: {port: 0}\n"))
     assert (code, err) == (0, "")
-    assert {check for check, health in healths(out).items() if health == "unknown"} == {"clock", "profile", "versions"}
+    assert {check for check, health in healths(out).items() if health == "unknown"} == {
+        *("daemon", "clock", "profile", "versions")
+    }
 
 
 def test_a_file_that_is_named_is_there(run, tmp_path):

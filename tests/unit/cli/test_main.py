@@ -38,7 +38,6 @@ TOPICS = "--sensing 11 --actuation 0"
         ("doctor --listen soon", "--listen"),
         ("doctor --interface nosuch0", "--interface"),
         ("relay --node-name a-b", "--node-name"),
-        ("top --interval 0", "--interval"),
         ("status --url localhost:9464", "--url"),
         ("status --url file:///etc/passwd", "--url"),
         ("status --url http://[::1", "--url"),

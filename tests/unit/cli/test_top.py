@@ -126,7 +126,7 @@ def test_top_waits_for_a_daemon_that_goes_away(top):
     """It says so, goes on, also without a keyboard, and shows the daemon that comes back."""
     answers = {"body": json.dumps(busy())}
     with serving(lambda: answers["body"], history=json.dumps(HISTORY)) as url:
-        screen = top(url, "--interval", "0.2", stdin=subprocess.DEVNULL)
+        screen = top(url, stdin=subprocess.DEVNULL)
         screen.await_text("event 29")
         answers["body"] = "<html>"
         screen.await_text("no answer for ")

@@ -31,7 +31,11 @@ def test_auto_takes_the_radio_then_the_default_route_then_the_only_one(tmp_path,
     monkeypatch.setattr(interface, "SYS_NET", tmp_path)
     monkeypatch.setattr(interface, "_PROC_ROUTE", tmp_path / "route")
     monkeypatch.setattr(interface, "list_interfaces", lambda: ["lo", *interfaces])
-    monkeypatch.setattr(interface, "_read_flags", lambda name: 0x41 if interfaces[name][0] is UP else 0x1)
+    states = {UP: InterfaceState.UP, DOWN: InterfaceState.NO_CARRIER}
+    kernel = Kernel()
+    for name, (is_up, _) in interfaces.items():
+        kernel.put(name, state=states[is_up])
+    monkeypatch.setattr(interface, "read_counters", kernel.interfaces.get)
     assert interface.likeliest_interface() == chosen
 
 
@@ -130,7 +134,7 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
 
-    for name in ("net_if_addrs", "net_io_counters", "virtual_memory"):
+    for name in ("net_if_addrs", "virtual_memory"):
         monkeypatch.setattr(psutil, name, refuse)
     for name in ("socket", "if_nameindex", "if_nametoindex"):
         monkeypatch.setattr(socket, name, refuse)

@@ -1,14 +1,16 @@
-"""The queue of an interface, from answers as the kernel encodes them."""
+"""Counters and queue of an interface, from answers as the kernel encodes them."""
 
-import socket
 import struct
+from pathlib import Path
 
 import pytest
 
-from arpd.host.netlink import Backlog, find_root, read_backlog
+from arpd.host.netlink import Backlog, find_link, find_root, read_counters
+from arpd.model.interface import InterfaceState, LinkCounters
 
-# linux/rtnetlink.h, linux/pkt_sched.h, linux/gen_stats.h
-NEWQDISC, DONE, ERROR = 36, 3, 2
+# linux/rtnetlink.h, linux/if_link.h, linux/pkt_sched.h, linux/gen_stats.h
+NEWLINK, NEWQDISC, DONE, ERROR = 16, 36, 3, 2
+NAME, QUEUE, STATS64 = 3, 6, 23
 KIND, STATS2, STATS_BASIC, STATS_QUEUE = 1, 7, 1, 3
 ROOT, NESTED = 0xFFFFFFFF, 0x8000
 
@@ -45,7 +47,33 @@ def test_without_a_root_queue_there_is_no_backlog(answer):
     assert find_root(answer, 3)[0] is None
 
 
-def test_the_kernel_answers_about_queues():
-    """Loopback and a missing interface have no queue on a real host."""
-    assert read_backlog(socket.if_nametoindex("lo")) is None
-    assert read_backlog(999_999) is None
+@pytest.mark.parametrize(
+    ("flags", "state"), [(0x1043, "up"), (0x1003, "no_carrier"), (0x1002, "down")], ids=["up", "no carrier", "down"]
+)
+@pytest.mark.parametrize(("queue", "has_queue"), [(b"fq_codel\0", True), (b"noqueue\0", False)])
+def test_counters_state_and_queue_of_an_interface_are_found(flags, state, queue, has_queue):
+    """Each number stands where linux/if_link.h has it, and a Wi-Fi driver that queues by itself has no queue here."""
+    stats = struct.pack("=24Q", 11, 22, 333, 444, 5, 6, 7, 8, *range(16))
+    told = attribute(NAME, b"wlan0\0") + attribute(QUEUE, queue) + attribute(STATS64, stats)
+    answer = message(NEWLINK, struct.pack("=BxHiII", 0, 1, 3, flags, 0) + told)
+    counters = LinkCounters(
+        interface="wlan0",
+        rx_packets=11,
+        tx_packets=22,
+        rx_bytes=333,
+        tx_bytes=444,
+        tx_dropped=8,
+        state=InterfaceState(state),
+    )
+    assert find_link(answer) == ((3, has_queue, counters), True)
+
+
+def test_the_kernel_answers():
+    """Loopback has the counters of /proc/net/dev and no queue, and a missing interface is None, on a real host."""
+    found = read_counters("lo")
+    (line,) = (line for line in Path("/proc/net/dev").read_text().splitlines() if line.split(":")[0].strip() == "lo")
+    rx_bytes, rx_packets = map(int, line.split(":")[1].split()[:2])
+    assert 0 <= rx_bytes - found.rx_bytes < 10_000_000
+    assert found.rx_packets <= rx_packets
+    assert found.backlog_bytes is None
+    assert read_counters("none_such") is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
@@ -111,12 +112,12 @@ def test_no_fault_of_the_radio_leaves_its_module(monkeypatch, fault):
 
 
 @pytest.mark.parametrize(
-    ("name", "flags", "radios"),
-    [("wg0", 0x41, ["wlan0"]), ("wg0", 0x1, []), ("eth0", 0x41, []), ("wlan0", 0x1, ["wlan0"])],
+    ("name", "is_up", "radios"),
+    [("wg0", True, ["wlan0"]), ("wg0", False, []), ("eth0", True, []), ("wlan0", False, ["wlan0"])],
 )
 @pytest.mark.usefixtures("sys_net")
-def test_the_radio_of_a_tunnel_is_one_that_is_up(monkeypatch, name, flags, radios):
+def test_the_radio_of_a_tunnel_is_one_that_is_up(monkeypatch, name, is_up, radios):
     """A radio beside a wired interface carries other traffic."""
     monkeypatch.setattr(interface, "list_interfaces", lambda: ["eth0", "wg0", "wlan0"])
-    monkeypatch.setattr(interface, "_read_flags", lambda _name: flags)
+    monkeypatch.setattr(interface, "read_counters", lambda _name: SimpleNamespace(is_up=is_up))
     assert radio.radios_of(name) == radios

@@ -54,7 +54,7 @@ def test_client_certificates_are_required(folder):
 def test_every_path_asks_for_the_password(folder):
     """Every path, also a missing one, answers 401 without the password and its own answer with it."""
     with running(folder, USERS) as world:
-        for path in ("/", "/metrics", "/-/healthy", "/nothing"):
+        for path in ("/", "/metrics", "/api/v1/status", "/nothing"):
             answer = world.get(path)
             assert (answer.status, answer.text) == (401, "401 Unauthorized\n")
             assert answer.headers["WWW-Authenticate"].startswith('Basic realm="arpd"')
@@ -66,7 +66,7 @@ def test_every_path_asks_for_the_password(folder):
         }
         assert got == {"missing": 4, "ok": 1, "cached": 1, "wrong": 1}
         assert world.count("arpd_http_requests_total", path="other", code="401") == 1
-        assert world.count("arpd_http_requests_total", path="/-/healthy", code="200") == 1
+        assert world.count("arpd_http_requests_total", path="/", code="200") == 1
         while (answer := world.get(Authorization=WRONG)).status == 401:
             pass
         assert (answer.status, answer.headers["Retry-After"]) == (429, "1")

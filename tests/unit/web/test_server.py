@@ -13,7 +13,6 @@ from tornado.netutil import bind_sockets
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.model.settings import HttpSettings
 from arpd.report.situation import judge
-from arpd.web.handlers import HEALTHY_S
 from arpd.web.metrics import SnapshotCollector
 from tests.golden.sample import changed
 from tests.unit.web_world import running, server_of
@@ -105,22 +104,10 @@ def test_no_message_adds_a_label():
 
 
 def test_nothing_is_promised_before_the_first_tick(world, daemon):
-    """Before the first snapshot: healthy, not ready, status 503, and a page all the same."""
+    """Before the first snapshot: no status, and a page all the same."""
     daemon.snapshot = None
-    paths = ("/-/healthy", "/-/ready", "/api/v1/status", "/", "/api/v1/history")
-    assert [world.get(path).status for path in paths] == [200, 503, 503, 200, 200]
-
-
-@pytest.mark.parametrize("has_snapshot", [False, True])
-def test_a_hung_tick_is_unhealthy(world, daemon, has_snapshot):
-    """When no tick has finished within the limit, health fails with the time."""
-    assert world.get("/-/ready").status == 200
-    if not has_snapshot:
-        daemon.snapshot = None
-    daemon.now_s += HEALTHY_S
-    answer = world.get("/-/healthy")
-    assert answer.status == 503
-    assert "10 s" in answer.text
+    paths = ("/api/v1/status", "/", "/api/v1/history")
+    assert [world.get(path).status for path in paths] == [503, 200, 200]
 
 
 def test_who_asks_at_the_same_time_shares_one_document(sample_snapshot, monkeypatch):
