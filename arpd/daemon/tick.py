@@ -175,7 +175,7 @@ class Daemon:
         rates = self._program.follow(lasting, self._of_now(topics, seen, link, budget), memory_bytes)
         if seen.active_daemon:
             self._world.stand_by()
-            self._planned = Planned(topics, rates, self._governor.stand_by())
+            self._planned = Planned(topics, replace(rates, price=None), self._governor.stand_by())
             return
         decision = self._governor.decide(
             seen.now_s,
@@ -195,8 +195,7 @@ class Daemon:
         topics, allocation, decision, come = self._planned
         price = self._of_now(topics, seen, link, budget).price() if topics and not seen.active_daemon else None
         allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
-        decision = replace(decision, price=price, reason="")
-        self._planned = Planned(topics, allocation, decision, come)
+        self._planned = Planned(topics, allocation, replace(decision, reason=""), come)
 
     def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:
         """Return the rows on the link of this moment."""
@@ -211,7 +210,7 @@ class Daemon:
     def _send(self, now_s: float, link: LinkEstimate, budget: float) -> None:
         """Send the price where it is due, and the probes that the estimator wants."""
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
-        price, share, spare = self._planned.decision.price or free, _share(budget, link), 0.0
+        price, share, spare = self._planned.allocation.price or free, _share(budget, link), 0.0
         if math.isinf(price.share_per_weight):
             spare = max(0.0, share - sum(topic.share for topic in self._planned.allocation.topics))
         price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare)

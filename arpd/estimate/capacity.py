@@ -1,4 +1,4 @@
-"""Belief about the capacity of the link: one Bayesian filter on its logarithm."""
+"""Belief about the capacity of the link: one Bayesian filter on its logarithm, and what is stated of it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from arpd.estimate.parameters import FALLEN, NOTICED, RADIO_SHARE
+from arpd.model.link import CapacityKind
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -128,3 +131,50 @@ class CapacityBelief:
         if self._summed is not self._p:  # it is read more often than it changes
             self._summed, self._sums = self._p, np.cumsum(self._p)
         return math.exp(np.interp(part * self._sums[-1], self._sums, _UPPER_EDGES))
+
+
+class Statement:
+    """Capacity that is stated of a belief, and the evidence for it.
+
+    Parameters
+    ----------
+    capacity : the one before any evidence (bytes/s)
+
+    Attributes
+    ----------
+    belief : probability of every capacity
+    fell_at_s : when it fell by much last (s)
+    """
+
+    def __init__(self, capacity: float) -> None:
+        self.belief, self.capacity = CapacityBelief(capacity), capacity
+        self.kind = CapacityKind.CONFIGURED
+        self.changed_at_s = self.fell_at_s = -math.inf
+        self.evidence = "no evidence yet"
+
+    def follow(self, now_s: float, kind: CapacityKind, why: str) -> None:
+        """State what is believed, by evidence of a kind, where that is news."""
+        before, is_new, self.kind = self.capacity, kind is not self.kind, kind
+        if is_new or abs(self.belief.stated(before) / before - 1.0) > NOTICED:
+            self.change(now_s, why)
+            if not is_new and kind is CapacityKind.PEER and self.capacity < FALLEN * before:
+                self.fell_at_s = now_s
+
+    def change(self, now_s: float, why: str) -> None:
+        """State what is believed, for a reason."""
+        self.capacity, self.changed_at_s = self.belief.stated(self.capacity), now_s
+        self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
+
+    def in_force(self, *, pinned: float | None, radio: float | None) -> tuple[float, CapacityKind, str]:
+        """Return the capacity that counts (bytes/s), its kind, and why.
+
+        Parameters
+        ----------
+        pinned, radio : capacity that the configuration pins, over everything; bit rate of the radio (bytes/s)
+        """
+        if pinned is not None:
+            return pinned, CapacityKind.CONFIGURED, "pinned by the configuration"
+        if radio is not None and self.kind is not CapacityKind.PEER and (bound := RADIO_SHARE * radio) < self.capacity:
+            why = f"{bound * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
+            return bound, CapacityKind.RADIO, why
+        return self.capacity, self.kind, self.evidence

@@ -7,7 +7,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
-from arpd.estimate.belief import Belief
+from arpd.estimate.capacity import Statement
 from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue, QueuePast
 from arpd.estimate.peer_queue import PeerGauges, SentPing
@@ -55,8 +55,8 @@ class Estimator:
         self._settings = settings
         self._schedule = ProbeSchedule()
         self._asked: deque[ProbeRequest] = deque(maxlen=100)  # probes from the last one on that a peer has
-        self._belief = Belief(settings.initial_capacity_bytes_per_second)
-        self._belief.pinned = settings.capacity_bytes_per_second
+        self._stated = Statement(settings.initial_capacity_bytes_per_second)
+        self._radio: float | None = None  # bit rate (bytes/s)
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
@@ -81,17 +81,17 @@ class Estimator:
     def has_evidence(self) -> bool:
         """True when the first plan may be made: the capacity is measured or pinned, or the wait for a peer is over."""
         return (
-            self._belief.kind in {CapacityKind.PEER, CapacityKind.LOCAL}
-            or self._belief.pinned is not None
+            self._stated.kind in {CapacityKind.PEER, CapacityKind.LOCAL}
+            or self._is_pinned
             or self._last_s - self._started_at_s > self._first_wait_s
         )
 
     def reconfigure(self, settings: LinkSettings) -> None:
         """Take new settings; measurements stay."""
-        self._settings, self._belief.pinned = settings, settings.capacity_bytes_per_second
-        if self._belief.kind is CapacityKind.CONFIGURED:
-            self._belief.assume(settings.initial_capacity_bytes_per_second)
-        if settings.capacity_bytes_per_second is not None:
+        self._settings = settings
+        if self._stated.kind is CapacityKind.CONFIGURED:
+            self._stated = Statement(settings.initial_capacity_bytes_per_second)
+        if self._is_pinned:
             self._forget_queue()
 
     def update(self, observation: Observation) -> LinkEstimate:
@@ -100,7 +100,7 @@ class Estimator:
         # The rate of a short time counts less: how often this host looks is no evidence.
         self._look_weight = min(1.0, (now_s - self._last_s) / parameters.LOOK_S)
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
-        self._belief.radio = observation.radio_bytes_per_second
+        self._radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
         self._note_sizes(() if observation.relay else observation.publishers)
         moved = max(self._peers.delivery()[0], local.sent_bytes_per_second())
@@ -137,16 +137,16 @@ class Estimator:
         ----------
         is_short : True while topics ask for more than the link is believed to carry
         """
-        if self._belief.pinned is not None:
+        if self._is_pinned:
             return ()
         requests = tuple(
             self._schedule.wanted(
                 now_s,
                 capacity=self._capacity,
-                is_measured=self._belief.kind is CapacityKind.PEER,
+                is_measured=self._stated.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
                 is_free=self._queue_delay_s < self._queue_low_s,
-                is_urgent=now_s - self._belief.fell_at_s < parameters.URGENT_S,
+                is_urgent=now_s - self._stated.fell_at_s < parameters.URGENT_S,
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
                 is_short=is_short,
@@ -212,10 +212,10 @@ class Estimator:
         self._trains.clear()
         # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
         self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S
-        if self._belief.kind is CapacityKind.PEER:
-            self._belief.fell_at_s = now_s
-            self._belief.filter.scatter(0.7)
-            self._belief.change(now_s, f"reports resumed after {silent_s:.1f} s of silence")
+        if self._stated.kind is CapacityKind.PEER:
+            self._stated.fell_at_s = now_s
+            self._stated.belief.scatter(0.7)
+            self._stated.change(now_s, f"reports resumed after {silent_s:.1f} s of silence")
 
     # -- the capacity
 
@@ -226,17 +226,17 @@ class Estimator:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
         why = ""
         for rate in self._trains.take(packet_overhead_s=self._overhead_s):
-            self._belief.filter.wait(now_s)
-            self._belief.filter.train(rate)
+            self._stated.belief.wait(now_s)
+            self._stated.belief.train(rate)
             why = f"trains see {rate * 8e-6:.1f} Mbit/s"
         if now_s > self._learns_from_s:
             why = self._weigh_delivery(now_s, pinged, has_reports=has_reports) or why
-        if why and (self._belief.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS):
-            self._belief.follow(now_s, CapacityKind.PEER, why)
+        if why and (self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS):
+            self._stated.follow(now_s, CapacityKind.PEER, why)
 
     def _weigh_delivery(self, now_s: float, pinged: Sequence[float], *, has_reports: bool) -> str:
         """Weigh what arrived, or left, since the last look; return what it shows, in words."""
-        believed = self._belief.filter
+        believed = self._stated.belief
         late_s = 1.5 * (self._peers.return_delay_s or 0.0)
         stays = self._queues.stays_s(parameters.BUSY_AFTER_S) > parameters.BUSY_S + late_s
         # Bytes from other senders are no evidence. Beside them, what this host sent may wait in a queue that it cannot
@@ -265,15 +265,15 @@ class Estimator:
 
     def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_arrived: bool) -> None:
         """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
-        believed, overhead = self._belief.filter, self._peers.overhead_of(delivered, self._overhead_s)
+        believed, overhead = self._stated.belief, self._peers.overhead_of(delivered, self._overhead_s)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
-        if overhead + delivered / self._belief.capacity <= parameters.USED:
+        if overhead + delivered / self._stated.capacity <= parameters.USED:
             return
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load. Then to
         # carry less than is believed is no news, either: the belief would only rise with time.
         shows_queue = self._largest_s > 2.0 * parameters.IDLE_S
         carried = parameters.CAUTION * delivered if has_arrived else 0.0
-        if shows_queue or carried > self._belief.capacity:
+        if shows_queue or carried > self._stated.capacity:
             believed.wait(now_s)
         if has_arrived:
             believed.carried(carried, overhead=overhead)
@@ -287,7 +287,7 @@ class Estimator:
 
     def _judge(self, now_s: float) -> LinkState:
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:
-            is_draining = now_s - self._belief.fell_at_s < parameters.URGENT_S
+            is_draining = now_s - self._stated.fell_at_s < parameters.URGENT_S
             return LinkState.DRAINING if is_draining else LinkState.CONGESTED
         busy = self._peers.delivery()[0] > 0.8 * self._settings.headroom * self._capacity
         return LinkState.STEADY if busy else LinkState.APP_LIMITED
@@ -296,23 +296,31 @@ class Estimator:
         """Judge without a peer: what leaves while the local queue pushes back is the capacity."""
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
-        believed, sent = self._belief.filter, self._local.sent_bytes_per_second()
-        busy, is_known = self._local.busy_rate, self._belief.kind is CapacityKind.LOCAL
+        believed, sent = self._stated.belief, self._local.sent_bytes_per_second()
+        busy, is_known = self._local.busy_rate, self._stated.kind is CapacityKind.LOCAL
         # Where a queue has shown the capacity, none shows that there is more.
-        is_idle = is_known and counters.backlog_bytes == 0 and sent > parameters.USED * self._belief.capacity
+        is_idle = is_known and counters.backlog_bytes == 0 and sent > parameters.USED * self._stated.capacity
         if busy is not None or is_idle:
             believed.wait(now_s)
             if busy is not None:
                 believed.delivered_busy(busy, weight=self._look_weight)
             else:
                 believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
-            self._belief.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")
+            self._stated.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 else LinkState.APP_LIMITED
+
+    @property
+    def _is_pinned(self) -> bool:
+        return self._settings.capacity_bytes_per_second is not None
+
+    @property
+    def _in_force(self) -> tuple[float, CapacityKind, str]:
+        return self._stated.in_force(pinned=self._settings.capacity_bytes_per_second, radio=self._radio)
 
     @property
     def _capacity(self) -> float:
         """Capacity in force; no division by a silent radio (bytes/s)."""
-        return max(1.0, self._belief.in_force()[0])
+        return max(1.0, self._in_force[0])
 
     @property
     def _outage_s(self) -> float:
@@ -344,8 +352,8 @@ class Estimator:
         return self._trains.packet_overhead_s if pinned is None else pinned
 
     def _estimate(self, now_s: float, cross_traffic: float) -> LinkEstimate:
-        capacity, kind, evidence = self._belief.in_force()
-        since_s = max(self._trains.newest_s, self._started_at_s, self._belief.changed_at_s)
+        capacity, kind, evidence = self._in_force
+        since_s = max(self._trains.newest_s, self._started_at_s, self._stated.changed_at_s)
         is_out = self._state is LinkState.OUTAGE
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
@@ -356,7 +364,7 @@ class Estimator:
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
             delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery()[0],
             is_resting=self._is_resting,
-            age_s=0.0 if self._belief.pinned is not None else now_s - since_s,
+            age_s=0.0 if self._is_pinned else now_s - since_s,
             evidence=evidence,
             cross_traffic_bytes_per_second=cross_traffic,
             packet_overhead_s=self._overhead_s,

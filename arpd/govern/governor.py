@@ -91,7 +91,7 @@ class Governor:
 
         Parameters
         ----------
-        rates : division of the budget of this tick; its price gives every publisher its rate
+        rates : division of the budget of this tick
         lasting : division of the budget that holds most of the time; its periods become deadlines
         participants : processes across the link, which hear of each swap
         """
@@ -103,7 +103,6 @@ class Governor:
         self.postponed += self._is_postponed and not was_postponed
         return Decision(
             allowed=_allowed(rates, topics),
-            price=rates.price,
             plan=self.plan,
             reason=cause,
             refusals=("budget",) if self._is_postponed else (),

@@ -139,12 +139,10 @@ class Decision:
     allowed : part of the traffic above the floors that the price allows, 0..1
     plan : the plan in force after this tick
     reason : cause of a plan that this tick made, empty without one
-    price : what every endpoint computes its rate from; None without topics
     refusals : reasons for which swaps that are due wait (``budget``)
     """
 
     allowed: float = 1.0
     plan: QosPlan = field(default_factory=QosPlan)
     reason: str = ""
-    price: Price | None = None
     refusals: tuple[str, ...] = ()

@@ -228,7 +228,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
         other_daemons=observation.other_daemons,
         active_daemon=observation.active_daemon,
         relay=observation.relay,
-        price=decision.price,
+        price=snapshot.allocation.price,
         plan=Plan(
             generation=decision.plan.generation,
             reason=decision.reason,

@@ -242,7 +242,7 @@ def make_snapshot() -> Snapshot:
             return_delay_s=0.0078125,
         ),
         allocation=_ALLOCATION,
-        decision=Decision(allowed=0.75, plan=_PLAN, price=_ALLOCATION.price, refusals=("budget",)),
+        decision=Decision(allowed=0.75, plan=_PLAN, refusals=("budget",)),
         totals=Totals(
             ticks=9000,
             ticks_failed=1,

@@ -37,7 +37,9 @@ def test_a_dead_daemon_leaves_its_price_and_its_plan_in_force():
     dies_s = 14.0
     played = play(link="0:20mbit,8:0.5mbit,20:20mbit", mute_s=dies_s, duration_s=30.0)
     last = played.between(0.0, dies_s)[-1].decision
-    prices = [tick.decision.price for tick in played.between(dies_s - 0.5, dies_s)]  # the last may not have been sent
+    prices = [
+        tick.snapshot.allocation.price for tick in played.between(dies_s - 0.5, dies_s)
+    ]  # the last may not have been sent
     for topic, row in last.plan.topics.items():
         source_hz = next(t.rate_hz for t in TOPICS if t.name == topic)
         allowed_hz = [min(source_hz, price.rate_hz(row)) for price in prices]

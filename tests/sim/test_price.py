@@ -53,12 +53,12 @@ def test_floors_that_do_not_fit_give_way_by_weight_and_return_with_the_link():
     span, after = (STARVED_S + 4.0, FREED_S), (FREED_S + 3.0, 45.0)
     assert played.sent_hz("/scan", *span) > 0.9 * 15.0
     assert played.sent_hz("/camera", *span) < 0.6 * 10.0
-    price = played.between(FREED_S - 5.0, FREED_S)[-1].decision.price
+    price = played.between(FREED_S - 5.0, FREED_S)[-1].snapshot.allocation.price
     assert price.yielding_weight == 1.0
     assert price.kept_minimum < 1.0
     assert queues(played.result, *span)[-1] < 1.0
     assert played.sent_hz("/camera", *after) > 1.5 * 10.0
-    assert {tick.decision.price.yielding_weight for tick in played.between(*after)} == {0.0}
+    assert {tick.snapshot.allocation.price.yielding_weight for tick in played.between(*after)} == {0.0}
 
 
 # -- a link near 0

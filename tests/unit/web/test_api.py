@@ -75,7 +75,7 @@ def test_documents_fit_their_schema_and_hold_nothing_else(documents, name):
 def test_a_document_read_is_what_was_written(documents, sample_snapshot):
     """`arpd status` gets the daemon's own values back, infinite ones too."""
     status, empty = (read(Status, documents[extent]["status"]) for extent in ("full", "empty"))
-    assert (status.link, status.price) == (sample_snapshot.link, sample_snapshot.decision.price)
+    assert (status.link, status.price) == (sample_snapshot.link, sample_snapshot.allocation.price)
     assert (status.relay, status.events) == (sample_snapshot.observation.relay, (EVENT,))
     confirmed = {topic.topic: topic.confirmed for topic in status.topics}
     for publisher in sample_snapshot.observation.publishers:
