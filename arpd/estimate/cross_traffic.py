@@ -174,7 +174,8 @@ class _Bins:
 
     def since(self, start_s: float) -> float:
         """Return the bytes since about a moment."""
-        return sum(amount for each, amount in self._bytes.items() if each >= math.floor(start_s * 10.0))
+        first = math.floor(start_s * 10.0)
+        return sum(amount for each, amount in self._bytes.items() if each >= first)
 
 
 def _wire_bytes(publisher: PublisherState, rate_hz: float) -> float:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
-_LOOK_AROUND_S, _RADIO_S = 0.2, 1.0  # between two looks at the graph, and at the radio
+_LOOK_AROUND_S, _HOST_S = 0.2, 1.0  # between two looks at the graph, and at memory and radio
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
 _MOST_SNAPSHOTS = 1000  # waiting for a tick
 _LARGE = 4.0  # more messages that the largest snapshot counts for: it comes once a second, and takes long to read
@@ -227,14 +227,14 @@ class RosControl:
     # -- what changes slowly
 
     def _look_around(self) -> None:
-        """Read memory, graph and radio again and again, until the node is destroyed or its context ends."""
-        radio_s = -math.inf
+        """Read graph, memory and radio again and again, until the node is destroyed or its context ends."""
+        due_s = -math.inf
         while self._node.context.ok():
             try:
-                self._memory = read_memory(self._memory)
                 self._read_graph()
-                if time.monotonic() >= radio_s:
-                    radio_s = time.monotonic() + _RADIO_S
+                if time.monotonic() >= due_s:
+                    due_s = time.monotonic() + _HOST_S
+                    self._memory = read_memory(self._memory)
                     self._read_radio()
             except InvalidHandle:
                 return

@@ -11,6 +11,7 @@ from arpd.ros.runtime import (
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     _discovery,
+    daemon_profile,
     prepare_environment,
     send_without_waiting,
 )
@@ -61,6 +62,13 @@ def test_a_participant_announces_itself_from_another_thread_and_is_not_slowed(pr
     nbytes, period_ms = (int(root.findtext(f".//{{*}}throughputController/{name}")) for name in names)
     assert nbytes / period_ms >= 1e6
     assert nbytes < 2**31  # Fast DDS keeps it in 32 bits, with a sign
+
+
+def test_the_daemon_s_profile_is_that_of_the_ends_without_their_socket():
+    """Of a socket's size Fast DDS makes shared memory, which the daemon would only fill."""
+    ends, daemon = ([each.tag for each in ET.parse(path).iter()] for path in (TWO_ENDED_PROFILE, daemon_profile()))
+    (socket,) = [tag for tag in ends if tag.endswith("listenSocketBufferSize")]
+    assert daemon == [tag for tag in ends if tag != socket]
 
 
 HEARTBEAT = "<times><heartbeatPeriod><sec>0</sec></heartbeatPeriod></times>"
