@@ -147,7 +147,6 @@ class Flow(Generic[W]):
                 withheld=withheld.total(),
                 withheld_by_cause=dict(withheld),
                 queued=lane.queued + len(self._held),
-                rate_hz=self._plan.rate_hz,
                 depth=self.qos.depth,
                 deadline_ns=self.qos.deadline_ns,
                 deadlines_missed=self._missed + self._writer.deadlines_missed(),

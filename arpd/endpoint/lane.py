@@ -216,6 +216,8 @@ class Lane:
         self._note(message, now_s)
         line = self._lines.setdefault(None if self._is_ordered else source, deque())
         line.append(_Waiting(source, message, expires_s))
+        if len(line) == 1:
+            return
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
         if most == 1 and not is_out and all(len(each.message) <= SMALL_BYTES for each in line):
             most = self._most_small(len(line), now_s)

@@ -98,7 +98,6 @@ class AdaptivePublisher:
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
         self._overrides = without_ours(qos_overriding_options)
-        self._price: Price | None = None
         self.baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
         self._shared = NodePublishers.of(node)
         self._flow = Flow(
@@ -111,7 +110,7 @@ class AdaptivePublisher:
             timing=swap_timing,
             lock=threading.RLock(),
         )
-        self.qos_profile = copy(self._writer.publisher.qos_profile)  # with the overrides of the other policies
+        self.qos_profile = copy(self._flow.writer.publisher.qos_profile)  # with the overrides of the other policies
         self._overrides = None
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
@@ -135,7 +134,7 @@ class AdaptivePublisher:
         """Return what else a publisher has, of the writer in force; a swap replaces it, so do not store its handle."""
         if name.startswith("_"):
             raise AttributeError(name)
-        return getattr(self._writer.publisher, name)
+        return getattr(self._flow.writer.publisher, name)
 
     def publish(self, msg: Any) -> None:
         """Publish a message, now or when pacing allows it.
@@ -188,13 +187,12 @@ class AdaptivePublisher:
         elif self._lasting_refusal.words:
             self._refusal, qos = self._lasting_refusal, self._flow.qos
         self._flow.retune(plan, qos=qos)
-        self._thread.retune(self._flow.lane, plan, self._price)
+        self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._thread.wake(self)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
-        if price != self._price:
-            self._price = price
+        if price != self._flow.lane.price:
             self._flow.set_loss(None if price is None else price.loss_ratio)
             self._thread.retune(self._flow.lane, self._flow.plan, price)
 
@@ -226,20 +224,16 @@ class AdaptivePublisher:
     def _warn_of_refusals(self) -> None:
         # As rclpy's default callback does. To read the count would take the event from a callback of the application.
         has_callback = self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None
-        if not has_callback and (refusals := self._writer.refusals()) > self._refusals:
+        if not has_callback and (refusals := self._flow.writer.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
                 f"{self.topic_name}: a subscription requests incompatible QoS and receives nothing; "
-                f"last incompatible policy: {self._writer.refused_policy}"
+                f"last incompatible policy: {self._flow.writer.refused_policy}"
             )
 
     def _close(self) -> None:
         self._thread.remove(self._flow.lane)
         self._flow.close()
-
-    @property
-    def _writer(self) -> RosWriter:
-        return self._flow.writer
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
         profile = with_qos(self.qos_profile, qos)
@@ -254,7 +248,7 @@ class AdaptivePublisher:
         return RosWriter(self._node, create, self._event_callbacks, requests=self._requests, in_force=self._in_force)
 
     def _in_force(self) -> RosWriter | None:
-        return self._writer if hasattr(self, "_flow") else None  # None while the first one is made
+        return self._flow.writer if hasattr(self, "_flow") else None  # None while the first one is made
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         self._shared.hurry()

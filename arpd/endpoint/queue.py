@@ -191,11 +191,11 @@ class PacedQueue:
 
     def _in_turn(self, now_s: float) -> Times:
         """Return when messages may leave that wait for a share of the link."""
-
-        def due_s(lane: Lane) -> float:
-            return lane.due_s(now_s) if lane.link_share is not None else max(lane.due_s(now_s), self._unplanned_s)
-
-        return Times((lane, due_s(lane)) for lane in self._active if lane.claimant is None)
+        return Times(
+            (lane, max(lane.due_s(now_s), self._unplanned_s if lane.link_share is None else -math.inf))
+            for lane in self._active
+            if lane.claimant is None
+        )
 
     def _finish(self, lane: Lane) -> float:
         """Return the virtual time at which the message of a lane ends, or so far of the rest that others may wait."""

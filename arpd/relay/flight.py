@@ -161,15 +161,19 @@ class _Sent(NamedTuple):
 class Flight:
     """Bounds what is on its way unconfirmed, and notices when the link is out.
 
+    Each sample asks several times for both, and little but a receipt changes them.
+
     Attributes
     ----------
-    capacity : what the link carries, as the daemon says; None = no daemon is heard (bytes/s)
-    is_lossy : whether it loses packets, as the daemon says
+    window_bytes : most that may be on its way
+    out_s : when the link is out: something is on its way, and no receipt has come for a while; else ``inf`` (s)
     """
 
     def __init__(self) -> None:
-        self.capacity: float | None = None
-        self.is_lossy = False
+        self._capacity = math.inf
+        self._repair_s = 0.0
+        self.window_bytes: float = _LEAST_BYTES
+        self.out_s = math.inf
         self._sent: deque[_Sent] = deque()
         self._bytes = 0
         self._number = 0
@@ -181,17 +185,24 @@ class Flight:
         self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
         self._rate = 0.0  # at which chunks arrive (bytes/s)
         self._bests: deque[tuple[float, float]] = deque()  # time and rate
-        self._best = 0.0  # of these rates; every sample asks for it several times, and only a receipt changes it
 
     def restart(self) -> None:
         """Forget what was sent to a process that is gone."""
         self._sent.clear()
         self._arrivals.clear()
         self._bytes, self._queue_s, self._rate = 0, 0.0, 0.0
+        self._bound()
+
+    def believe(self, capacity: float, *, is_lossy: bool) -> None:
+        """Take what the link carries, ``inf`` = unknown (bytes/s), and whether it loses packets."""
+        self._capacity, self._repair_s = capacity, _REPAIR_S if is_lossy else 0.0
+        self._bound()
 
     def send(self, size: int, now_s: float) -> int:
         """Count a chunk that leaves now; return its number."""
         self._number = (self._number + 1) % WRAP
+        if not self._sent:
+            self.out_s = now_s + _OUT_S + self._trip_s
         self._sent.append(_Sent(self._number, size, now_s))
         self._bytes += size
         return self._number
@@ -222,33 +233,20 @@ class Flight:
             self._arrivals.popleft()
         while self._bests and now_s - self._bests[0][0] > _BEST_S:
             self._bests.popleft()
-        self._best = max((rate for _, rate in self._bests), default=0.0)
+        self._bound()
 
     @property
     def relief(self) -> float:
         """Times its share that the queue drains: less than once while a queue stands on the link."""
         return min(_MOST_RELIEF, max(_LEAST_RELIEF, 1.0 - (self._standing_s - _TARGET_S) / _RELIEF_S))
 
-    def is_out(self, now_s: float) -> bool:
-        """Return whether the link is out: something is on its way, and no receipt has come for a while."""
-        return now_s >= self.out_s
-
-    @property
-    def out_s(self) -> float:
-        """When the link is out unless a receipt comes before, ``inf`` while nothing is on its way (s)."""
-        return max(self._progress_s, self._sent[0].at_s) + _OUT_S + self._trip_s if self._sent else math.inf
-
     def has_room(self, *, is_small: bool) -> bool:
         """Return whether one more chunk may leave; a small message may where a large one has to wait."""
         return self._bytes < (_SMALL_WINDOWS if is_small else 1.0) * self.window_bytes
 
-    @property
-    def window_bytes(self) -> float:
-        """Most bytes that may be on their way."""
-        rate = _GROWTH * self._best
-        if self.capacity is not None:
-            rate = min(rate, self.capacity)
+    def _bound(self) -> None:
+        self.out_s = max(self._progress_s, self._sent[0].at_s) + _OUT_S + self._trip_s if self._sent else math.inf
+        rate = min(self._capacity, _GROWTH * max((rate for _, rate in self._bests), default=0.0))
         if self._queue_s > _QUEUED_S:
             rate = min(rate, self._rate)
-        repair_s = _REPAIR_S if self.is_lossy else 0.0
-        return max(_LEAST_BYTES, (_WINDOW_S + repair_s + self._trip_s) * rate)
+        self.window_bytes = max(_LEAST_BYTES, (_WINDOW_S + self._repair_s + self._trip_s) * rate)

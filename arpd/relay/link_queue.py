@@ -6,7 +6,7 @@ import math
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from arpd.endpoint.lane import Lane
+from arpd.endpoint.lane import Lane, UnderWay
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
@@ -18,7 +18,6 @@ from arpd.relay.turns import Turns
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from arpd.endpoint.lane import UnderWay
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
@@ -29,7 +28,7 @@ _UNKNOWN_PACKETS = 4
 # costs both ends as much as the samples in it.
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
-_TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES  # that leave in one packet
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
 
@@ -65,8 +64,9 @@ class LinkQueue(PacedQueue):
         self._session = session
         self.flight = Flight()
         self._coach = Lane(together)
-        self._turns = Turns()
-        self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
+        self._turns = Turns(super()._finish)
+        self._departs_s = -math.inf  # when the next messages leave together
+        self._expects_s = -math.inf  # the same where others will most likely have come
         self._share = math.inf  # link time a second, may be spent
         self._was_out = False
         self._received = Received()
@@ -83,7 +83,7 @@ class LinkQueue(PacedQueue):
 
     def take_sign(self, now_s: float) -> bytes | None:
         """Return the sign of life that leaves now, None if none is due."""
-        is_probing = self.flight.is_out(now_s) and now_s >= self._probe_s
+        is_probing = now_s >= max(self.flight.out_s, self._probe_s)
         if not (self._is_answering or is_probing or now_s >= min(self._sign_s, self._received.due_s())):
             return None
         self._is_answering = False
@@ -165,12 +165,13 @@ class LinkQueue(PacedQueue):
     def remove(self, lane: Lane) -> None:
         """Serve it no more, if it is served; what waits is withheld."""
         super().remove(lane)
-        self._turns.touch(lane)
+        self._turns.drop(lane)
 
     def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
         """Give a lane its plan and the price; None = no daemon is there."""
         super().retune(lane, plan, price)
-        self._turns.touch(lane)
+        if lane in self._active:
+            self._turns.touch(lane)
 
     def offer(
         self, lane: Lane, message: bytes, now_s: float, *, source: Hashable = None, expires_s: float = math.inf
@@ -180,10 +181,11 @@ class LinkQueue(PacedQueue):
             lane.offered_rate.count(now_s)
             lane.withheld[WithheldCause.FAILED.value] += 1
             return
-        (self._turns.touch if lane in self._active else self._turns.move)(lane)
         super().offer(lane, message, now_s, source=source, expires_s=expires_s)
-        if len(message) > _TOGETHER_BYTES:
+        if lane.has_company and len(message) > TOGETHER_BYTES:
+            self._turns.drop(lane)
             lane.has_company = False  # for good: a later small one must not overtake it on another writer
+        self._turns.touch(lane)
 
     def take(self, now_s: float) -> Ready | None:
         """Return what leaves now; it then counts as sent."""
@@ -206,11 +208,11 @@ class LinkQueue(PacedQueue):
         return min([super().due_s(now_s), *expected])
 
     def _first(self, now_s: float) -> Times:
-        self._turns.update(self._active, now_s, finish=super()._finish)
+        self._turns.update(now_s)
         return self._turns.first
 
     def _in_turn(self, now_s: float) -> Times:
-        self._turns.update(self._active, now_s, finish=super()._finish)
+        self._turns.update(now_s)
         return self._turns.in_turn
 
     def _finish(self, lane: Lane) -> float:
@@ -220,7 +222,7 @@ class LinkQueue(PacedQueue):
         return self.flight.has_room(is_small=True) and not self._is_out(now_s)
 
     def _is_out(self, now_s: float) -> bool:
-        return self.flight.is_out(now_s)
+        return now_s >= self.flight.out_s
 
     def _has_room(self) -> bool:
         return self.flight.has_room(is_small=False)
@@ -235,7 +237,7 @@ class LinkQueue(PacedQueue):
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
-        room, misses, is_full = _TOGETHER_BYTES, 0, False
+        room, misses, is_full = TOGETHER_BYTES, 0, False
         for each, is_due in boarding.items():
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
@@ -245,21 +247,19 @@ class LinkQueue(PacedQueue):
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
-        departs_s = now_s if is_full else now_s + self._company_s
-        self._turns.wait_for_company(departs_s)
-        self._expects_s = departs_s if len(aboard) > 1 else -math.inf
+        departs_s, have_waited = now_s if is_full else now_s + self._company_s, now_s - self._departs_s < SOON_S
+        self._expects_s = departs_s if have_waited and len(aboard) > 1 else -math.inf
+        self._departs_s = self._turns.first.departs_s = self._turns.in_turn.departs_s = departs_s
         if not aboard:
             return None
         message = b"".join(message for _, message in aboard)
-        number, wire_bytes, packets = self._send(self._coach, message, now_s)
-        self.sent_bytes += int(wire_bytes)
-        shared = (wire_bytes - len(message)) / len(aboard)
+        part = self._cut(self._coach, UnderWay(None, message), now_s, is_first=True)
+        self.sent_bytes += int(part.wire_bytes)
+        shared = (part.wire_bytes - len(message)) / len(aboard)
         for each, sample in aboard:
-            share = Part(sample, len(sample) + shared, packets / len(aboard))
+            share = Part(sample, len(sample) + shared, part.packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
-        departed_us = int(now_s * 1e6) % WRAP
-        chunk = Chunk(self._session, number, departed_us, number, 0, len(message), is_kept=False, part=message)
-        return Ready(self._coach, encode_chunk(chunk))
+        return Ready(self._coach, part.sample)
 
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
         """Return what leaves of a lane together with others: one message, and all that its rate and the room allow."""
@@ -272,31 +272,29 @@ class LinkQueue(PacedQueue):
             room -= len(current.message)
             self._end(lane, now_s)
         if aboard or lane not in self._active:
-            self._turns.move(lane)
+            self._put_behind(lane)
         return aboard
 
     def _begin(self, lane: Lane, now_s: float, *, is_first: bool) -> bytes | None:
         part = super()._begin(lane, now_s, is_first=is_first)
-        self._turns.move(lane)
+        self._put_behind(lane)
         return part
+
+    def _put_behind(self, lane: Lane) -> None:
+        self._turns.drop(lane)
+        if lane in self._active:
+            self._turns.touch(lane)
 
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
         message, offset = current.message, current.offset
-        most = len(message) if is_first else self._chunk_bytes
-        part = message[offset : offset + most]
-        number, wire_bytes, packets = self._send(lane, part, now_s)
-        if offset == 0:
-            current.number = number
-        current.offset += len(part)
-        departed_us = int(now_s * 1e6) % WRAP
-        chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
-        return Part(encode_chunk(chunk), wire_bytes, packets)
-
-    def _send(self, lane: Lane, part: bytes, now_s: float) -> tuple[int, float, float]:
-        """Count a chunk as sent; return its number, and the bytes and packets that it takes of the link."""
+        part = message[offset:] if is_first else message[offset : offset + self._chunk_bytes]
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(lane, now_s)
-        return self.flight.send(int(wire_bytes), now_s), wire_bytes, packets
+        number, departed_us = self.flight.send(int(wire_bytes), now_s), int(now_s * 1e6) % WRAP
+        current.number = current.number if offset else number
+        current.offset += len(part)
+        chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
+        return Part(encode_chunk(chunk), wire_bytes, packets)
 
     # -- the daemon's price
 
@@ -314,14 +312,13 @@ class LinkQueue(PacedQueue):
         if (price := self._price) is not None:
             used = sum(1.0 if lane.link_share is None else lane.link_share for lane in self._lanes)
             self._share = max(LEAST_SHARE, min(price.budget_share, used + price.spare_share))
-            self.flight.is_lossy = (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO
-        self._adapt(None if price is None else price.capacity_bytes_per_second)
+        self._adapt(price)
 
-    def _adapt(self, capacity: float | None) -> None:
-        """Let a chunk take its time of the link; None = no daemon is heard (bytes/s)."""
-        self.flight.capacity = capacity
-        packets = _UNKNOWN_PACKETS if capacity is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
+    def _adapt(self, price: Price | None) -> None:
+        """Let a chunk take its time of the link; None = no daemon is heard."""
+        capacity = math.inf if price is None else price.capacity_bytes_per_second
+        self.flight.believe(capacity, is_lossy=price is not None and (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO)
+        packets = _UNKNOWN_PACKETS if price is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         packets = min(max(packets, _LEAST_PACKETS), _MOST_PACKETS)
         self._chunk_bytes = packets * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
-        packets_s = _COMPANY_PACKETS * FRAGMENT_BYTES / (capacity or math.inf)
-        self._company_s = min(_COMPANY_S, max(_LEAST_COMPANY_S, packets_s))
+        self._company_s = min(_COMPANY_S, max(_LEAST_COMPANY_S, _COMPANY_PACKETS * FRAGMENT_BYTES / capacity))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.queue import Times
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable
 
     from arpd.endpoint.lane import Lane
 
@@ -26,16 +26,9 @@ class KeptTimes(Times):
         super().__init__()
         self.together, self.departs_s = Times(), -math.inf
 
-    def set(self, lane: Lane, due_s: float) -> None:
-        """Keep when a lane may leave (s)."""
-        here, other = (self.together, self) if lane.has_company else (self, self.together)
-        here[lane] = due_s
-        other.pop(lane, None)
-
-    def drop(self, lane: Lane) -> None:
-        """Forget a lane."""
-        self.pop(lane, None)
-        self.together.pop(lane, None)
+    def of(self, lane: Lane) -> Times:
+        """Return where the time of a lane stands."""
+        return self.together if lane.has_company else self
 
     @property
     def due_s(self) -> float:
@@ -54,42 +47,36 @@ class Turns:
     The time of a lane changes only with its rates, its credit and what waits, so only lanes that were touched are asked
     again.
 
+    Parameters
+    ----------
+    finish_of : computes the virtual time at which a lane's message would end
+
     Attributes
     ----------
     first : when small messages may leave, before large ones
     in_turn : when messages may leave that wait for what is left of the link
-    finish : the virtual time at which each message would end
+    finish : the virtual time of each lane
     """
 
-    def __init__(self) -> None:
+    def __init__(self, finish_of: Callable[[Lane], float]) -> None:
         self.first, self.in_turn = KeptTimes(), KeptTimes()
         self.finish: dict[Lane, float] = {}
+        self._finish_of = finish_of
         self._touched: dict[Lane, None] = {}
 
     def touch(self, *lanes: Lane) -> None:
-        """Ask lanes again: their rates, or what waits there, are others now."""
+        """Ask lanes again: their rates, or what waits there, are others now. New ones come behind the others."""
         self._touched |= dict.fromkeys(lanes)
 
-    def move(self, lane: Lane) -> None:
-        """Ask it again, and put it behind the others: it has something to send since now, or a message has left."""
-        self._touched.pop(lane, None)
-        self._touched[lane] = None
-        self.first.drop(lane)
-        self.in_turn.drop(lane)
+    def drop(self, lane: Lane) -> None:
+        """Forget a lane, which has nothing to send, or comes behind the others from now on."""
+        for times in (self._touched, self.finish, self.first.of(lane), self.in_turn.of(lane)):
+            times.pop(lane, None)
 
-    def wait_for_company(self, departs_s: float) -> None:
-        """Let the messages that leave together wait until then (s)."""
-        self.first.departs_s = self.in_turn.departs_s = departs_s
-
-    def update(self, active: Collection[Lane], now_s: float, *, finish: Callable[[Lane], float]) -> None:
-        """Ask the lanes that were touched; ``active`` are those with something to send."""
+    def update(self, now_s: float) -> None:
+        """Ask the lanes that were touched."""
         for lane in self._touched:
-            if lane not in active:
-                self.first.drop(lane)
-                self.in_turn.drop(lane)
-                self.finish.pop(lane, None)
-                continue
-            self.finish[lane] = finish(lane)
-            self.first.set(lane, lane.first_s(now_s))
-            self.in_turn.set(lane, lane.spare_s(now_s))
+            self.finish[lane] = self._finish_of(lane)
+            self.first.of(lane)[lane] = lane.first_s(now_s)
+            self.in_turn.of(lane)[lane] = lane.spare_s(now_s)
         self._touched.clear()

@@ -70,7 +70,7 @@ def publish_at(publisher, rate_hz):
 def test_the_rate_follows_the_price_down_to_the_floor(publisher, send_price):
     """A price lowers the rate to what it buys, not below the floor and only with a weight; a better one raises it."""
     retune(publisher, rate_hz=100.0, min_rate_hz=20.0)
-    send_price(costing(5.0), "the price arrives", lambda: publisher._price)
+    send_price(costing(5.0), "the price arrives", lambda: publisher._flow.lane.price)
     assert is_paced_at(publisher, 100.0)(), "a rate that was set by hand has no price"
     retune(publisher, **TERMS)
     assert is_paced_at(publisher, 20.0)()
@@ -104,7 +104,7 @@ def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, s
     for one in (publisher, other):
         one.retune(row)
     crosses_in_200_s = Price(share_per_weight=math.inf, capacity_bytes_per_second=300.0)
-    send_price(crosses_in_200_s, "both know it", lambda: publisher._price and other._price)
+    send_price(crosses_in_200_s, "both know it", lambda: publisher._flow.lane.price and other._flow.lane.price)
     large = String(data=60_000 * "x")
     publisher.pass_on(large)
     eventually("the first leaves", lambda: publisher.state().published == 1)
@@ -117,11 +117,11 @@ def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, s
 
 def test_silence_ends_the_wait_for_a_plan_and_no_price(clock, publisher, send_price, eventually):
     """After some seconds without a price no new topic waits for a plan, and a topic with a plan keeps the price."""
-    send_price(costing(5.0), "the daemon is noticed", lambda: publisher._price)
+    send_price(costing(5.0), "the daemon is noticed", lambda: publisher._flow.lane.price)
 
     def has_no_daemon():
         clock.skip(6.0)  # more than once, because a last price may still be under way
-        return publisher._price is None
+        return publisher._flow.lane.price is None
 
     eventually("its silence is noticed", has_no_daemon)
     retune(publisher, rate_hz=100.0, **TERMS)
@@ -159,7 +159,7 @@ def test_a_topic_has_one_publisher_in_a_node(node, publisher):
     """A second one is refused and leaves no writer; once the first is destroyed, another one may follow."""
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(node, String, TOPIC, 10)
-    assert writers_of(node) == [publisher._writer.publisher]
+    assert writers_of(node) == [publisher._flow.writer.publisher]
     publisher.destroy()
     assert not writers_of(node)
     other = AdaptivePublisher(node, String, TOPIC, 99)

@@ -98,9 +98,11 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
     publisher.publish(String(data="0"))
     eventually("the silent writer misses deadlines", lambda: len(events) > 1)
-    old, asked = publisher._writer, []
+    old, asked = publisher._flow.writer, []
     monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains
-    monkeypatch.setattr(old, "_in_force", lambda: asked.append(old is not publisher._writer) or publisher._writer)
+    monkeypatch.setattr(
+        old, "_in_force", lambda: asked.append(old is not publisher._flow.writer) or publisher._flow.writer
+    )
     before = publisher.state().deadlines_missed
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
     # It still misses a deadline five times a second; its callbacks are called, and stay silent.
@@ -133,4 +135,4 @@ def test_a_swap_knows_whether_its_readers_acknowledge_and_what_the_link_loses(
     assert publisher._flow._swap.loss_ratio == 0.25
     eventually("both readers match", lambda: publisher.get_subscription_count() == 2)
     eventually("the graph shows both", lambda: len(publisher._requests.names()) == 2)
-    assert publisher._writer.readers_acknowledge() == can_prove
+    assert publisher._flow.writer.readers_acknowledge() == can_prove

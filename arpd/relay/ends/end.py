@@ -123,6 +123,7 @@ class End:
             settings=settings,
             linger_s=_LINGER_S,
             node_name=self._side.node_name,
+            collect=self.link.collect,
         )
         # A topic of weight 1 in the paced queue, of which none is dropped.
         self._call_lane = Lane(calls.publish, is_kept=True)
@@ -189,6 +190,7 @@ class End:
         self._calls.offered = (self._there.services, self._there.session) if is_called else ({}, None)
         self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
+        self.link.collect()  # samples that waited for the names of their writers
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
         self._report(now_s)

@@ -111,7 +111,6 @@ class Incoming:
                         self._follow(name, offers[name], writer, kind)
                 except (NameValidationException, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
-            self._retire(now_s)
             for _ in range(len(self._held)):
                 self._deliver(*self._held.popleft(), now_s)
 
@@ -126,7 +125,8 @@ class Incoming:
             read = [ghost for ghost in self._ghosts.values() if now_s - ghost.read_s < _LINGER_S]
             for writer in [writer for writer, (_, until_s) in self._late.items() if now_s >= until_s]:
                 self._write(self._late.pop(writer)[0])
-            self._retire(now_s)
+            for key in [key for key, each in self._ghosts.items() if now_s - each.writer.gone_s >= _GRACE_S]:
+                self._remove(key)
             due = [ghost.writer for ghost in self._ghosts.values() if now_s >= ghost.writer.due_s]
             for each in due[:_MOST_SWAPS]:
                 with suppress(ValueError):  # a reader here has a name or QoS that ROS cannot express
@@ -199,11 +199,6 @@ class Incoming:
         if writer.is_latched:  # all that late readers get: of a map the newest
             return self._depths.get(name, 1 if is_bulk(kind) else DEFAULT_RELAY_DEPTH)
         return held_depth(kind, asked=self._depths.get(name, DEFAULT_RELAY_DEPTH))
-
-    def _retire(self, now_s: float) -> None:
-        """Remove the ghosts of writers that have been gone for a while."""
-        for key in [key for key, ghost in self._ghosts.items() if now_s - ghost.writer.gone_s >= _GRACE_S]:
-            self._remove(key)
 
     def _remove(self, key: bytes) -> None:
         self._late.pop(key, None)

@@ -82,7 +82,6 @@ class LinkTopic(Carried):
         elif is_latched:
             lane = {"depth": asked or _HISTORY, "large_depth": asked or 1, "is_kept": True}
         self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
-        self._price: Price | None = None
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
         self.plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=depth)
         thread.add(self._lane)
@@ -136,12 +135,11 @@ class LinkTopic(Carried):
         if plan != self.plan:
             self.plan = plan
             self.planned = plan.qos if plan.weight > 0 else (0, 0)
-            self._thread.retune(self._lane, plan, self._price)
+            self._thread.retune(self._lane, plan, self._lane.price)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
-        if price != self._price:
-            self._price = price
+        if price != self._lane.price:
             self._thread.retune(self._lane, self.plan, price)
 
     def state(self) -> PublisherState:

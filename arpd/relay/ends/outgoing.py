@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from dataclasses import replace
@@ -88,6 +89,7 @@ class Outgoing:
     settings : groups, overflow and depths
     linger_s : how long a topic stays that nobody wants, or offers, any more (s)
     node_name : returns the name by which a node is offered, from its local name
+    collect : called when samples that came together have been sent on, as the step of a `ReadingThread`
 
     Attributes
     ----------
@@ -106,6 +108,7 @@ class Outgoing:
         settings: RelaySettings,
         linger_s: float,
         node_name: Callable[[str], str] = str,
+        collect: Callable[[], float] = lambda: math.inf,
     ) -> None:
         self._node, self._name_of, self._node_name = node, name_of, node_name
         self._carry, self._settings = carry, settings
@@ -115,7 +118,7 @@ class Outgoing:
         self._topics: dict[str, Surveyed] = {}
         self._planned: dict[str, tuple[int, int]] = {}  # that it tells, by the name on the link
         self._planned_s = 0.0  # when it may tell others
-        self.thread = ReadingThread(rest_s=_REST_S)
+        self.thread = ReadingThread(step=collect, rest_s=_REST_S)
         self.offers: dict[str, TopicOffer] = {}
         self.carried: dict[str, Carried] = {}
         self.refused: dict[str, str] = {}

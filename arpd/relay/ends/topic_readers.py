@@ -92,6 +92,8 @@ class TopicReaders:
     def _reader(self, kind: WriterClass) -> RawReader:
         def deliver(sample: Sample) -> None:
             with self._lock:
+                if not self._held and self._deliver(kind, sample):
+                    return
                 self._held.append((kind, sample, time.monotonic()))  # behind others, perhaps of the same writer
                 self._deliver_held()
 

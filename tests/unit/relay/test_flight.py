@@ -40,7 +40,7 @@ def test_no_more_is_on_its_way_than_a_quarter_of_a_second_of_the_capacity():
 def most_on_its_way(*, is_lossy):
     """Return the milliseconds of the capacity that small messages may fill."""
     ends = Ends()
-    ends.flight.capacity, ends.flight.is_lossy = 1e6, is_lossy
+    ends.flight.believe(1e6, is_lossy=is_lossy)
     for _ in range(20):
         ends.send(100_000)
         ends.now_s += 0.01
@@ -61,25 +61,25 @@ def test_an_outage_is_noticed_in_time_and_ends_with_a_receipt(trip_s, trips, unc
             ends.send()
         ends.confirm(1)
     ends.send()
-    assert not ends.flight.is_out(ends.now_s + 0.399)
-    assert ends.flight.is_out(ends.now_s + 0.4 + trip_s + 0.001)
+    assert ends.now_s + 0.399 < ends.flight.out_s
+    assert ends.now_s + 0.4 + trip_s + 0.001 >= ends.flight.out_s
     ends.now_s += 10.0
     ends.flight.confirm(Receipt(session=7, number=WRAP - 1), ends.now_s)  # of before: nothing new has arrived
-    assert ends.flight.is_out(ends.now_s)
+    assert ends.now_s >= ends.flight.out_s
     ends.confirm(1)
-    assert not ends.flight.is_out(ends.now_s)
+    assert ends.now_s < ends.flight.out_s
 
 
 def test_an_idle_link_is_never_out():
     """Silence while nothing is on its way is no outage, and what leaves after it has time to arrive."""
     ends = Ends()
-    assert not ends.flight.is_out(ends.now_s)
+    assert ends.now_s < ends.flight.out_s
     ends.send()
     ends.confirm(1)
     ends.now_s += 86_400.0
-    assert not ends.flight.is_out(ends.now_s)
+    assert ends.now_s < ends.flight.out_s
     ends.send()
-    assert not ends.flight.is_out(ends.now_s + 0.39)
+    assert ends.now_s + 0.39 < ends.flight.out_s
 
 
 def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
@@ -88,9 +88,9 @@ def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
     while ends.flight.has_room(is_small=True):
         ends.send()
     ends.now_s += 1.0
-    assert ends.flight.is_out(ends.now_s)
+    assert ends.now_s >= ends.flight.out_s
     ends.flight.restart()
-    assert not ends.flight.is_out(ends.now_s)
+    assert ends.now_s < ends.flight.out_s
     assert ends.flight.has_room(is_small=False)
 
 
