@@ -56,13 +56,12 @@ def test_arpds_profiles_miss_nothing(name, profile, tmp_path):
 
 @pytest.mark.parametrize("profile", [FASTDDS_PROFILE, TWO_ENDED_PROFILE], ids=lambda path: path.stem)
 def test_a_participant_announces_itself_from_another_thread_and_is_not_slowed(profile):
-    """Only with a throughput controller Fast DDS listens before answers come; this one allows 8 Gbit/s, and rests."""
+    """Only with a throughput controller Fast DDS listens before answers come; this one allows 8 Gbit/s."""
     names = "{*}bytesPerPeriod", "{*}periodMillisecs"
     root = ET.parse(profile).getroot()
     nbytes, period_ms = (int(root.findtext(f".//{{*}}throughputController/{name}")) for name in names)
     assert nbytes / period_ms >= 1e6
     assert nbytes < 2**31  # Fast DDS keeps it in 32 bits, with a sign
-    assert period_ms >= 1000  # its thread wakes as often, for as long as the process lives
 
 
 def test_the_daemon_s_profile_is_that_of_the_ends_without_their_socket():
