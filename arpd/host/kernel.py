@@ -7,7 +7,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from arpd.host.interface import SYS_NET, ipv4_addresses, read_number
+from arpd.host.interface import SYS_NET, ipv4_addresses, likeliest_interface, read_number
 from arpd.model.errors import NotKnownError
 
 if TYPE_CHECKING:
@@ -44,6 +44,16 @@ def interface_to(address: str) -> str | None:
     """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
     own: str | None = _of_route(address, lambda route: route.getsockname()[0])
     return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
+
+
+def interface_towards(end: str | None) -> str | None:
+    """Return the interface that ``auto`` means where the other end of the link is known: that of the route to it.
+
+    It is the likeliest one where the other end has no address, or no route. A host name is no address here, because to
+    look it up may take seconds.
+    """
+    is_address = end is not None and end.replace(".", "").isdecimal()
+    return (interface_to(str(end)) if is_address else None) or likeliest_interface()
 
 
 def is_own_address(address: str) -> bool:

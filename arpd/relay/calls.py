@@ -137,12 +137,13 @@ class CallBook:
     def follow(self, other: int | None) -> None:
         """Speak with this session of the other end from now on; None = it is unreachable.
 
-        Calls that wait for another session, or for an end that is unreachable, fail. Those of another session are given
-        up; an end that is unreachable may still want its calls.
+        Calls that wait for another session fail, and those that wait for an end that is unreachable, but for those that
+        may take any time. Those of another session are given up; an end that is unreachable may still want its calls.
         """
         self._is_reachable = other is not None
         if other is None:
-            self._give_up([*self._waiting], FailureReason.UNREACHABLE, "the other end became unreachable")
+            timed = [number for number, call in self._waiting.items() if call.until_s < math.inf]
+            self._give_up(timed, FailureReason.UNREACHABLE, "the other end became unreachable")
         elif other != self._other:
             words = "the other end restarted; the call may have run"
             self._give_up([*self._waiting], FailureReason.RESTARTED, words)

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
 from std_msgs.msg import UInt8MultiArray
@@ -21,6 +22,7 @@ from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import likeliest_interface
 from arpd.host.journal import configure_logging
+from arpd.host.kernel import interface_towards
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
@@ -80,7 +82,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     stop_on_signals(stopping)
     notifier = Notifier()
     link = AUTO if is_far else settings.link.interface  # the file names the robot's
-    addresses = Addresses(lambda: link if link != AUTO else likeliest_interface() or "")
+    auto = partial(interface_towards, settings.relay.robot) if is_far else likeliest_interface
+    addresses = Addresses(lambda: link if link != AUTO else auto() or "")
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
         parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later

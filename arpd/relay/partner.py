@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.relay.ends.offers import EndState
 
 EVERY_S = 1.0  # each end says that often that it lives
@@ -17,10 +19,16 @@ class Partner:
     """Follows the states and the signs of life of the other end, and its restarts.
 
     A killed end returns as a new session. Two ends that run at the same time are two sessions that both speak: the
-    first one stays in force, the other one is named.
+    first one stays in force, the other one is named. An end that follows another one than this is not followed: of two
+    robots in one link domain, the second would obey what is meant for the first.
+
+    Parameters
+    ----------
+    session : of this end
     """
 
-    def __init__(self) -> None:
+    def __init__(self, session: int) -> None:
+        self._followable = {0, session}
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
@@ -41,7 +49,7 @@ class Partner:
         It may return, and says nothing new then, so its state is kept.
         """
         for session in [
-            each for each in self._states if each != self._session and not self._spoke(each, now_s, _GONE_S)
+            each for each in self._states if each != self._session and now_s - self._heard_s[each] > _GONE_S
         ]:
             del self._states[session], self._heard_s[session]
         speaking = [each for each in self._states if self._spoke(each, now_s, REPLACED_S)]
@@ -55,11 +63,17 @@ class Partner:
 
     def others(self, now_s: float) -> list[str]:
         """Name the hosts of other sessions that speak beside the one in force."""
-        return sorted(
-            state.host
-            for session, state in self._states.items()
-            if session != self._session and self._spoke(session, now_s, REPLACED_S)
-        )
+        return self._hosts(now_s, lambda state: state.session != self._session)
+
+    def elsewhere(self, now_s: float) -> list[str]:
+        """Name the hosts of sessions that speak and follow another end than this one."""
+        return self._hosts(now_s, lambda state: state.follows not in self._followable)
+
+    def _hosts(self, now_s: float, is_meant: Callable[[EndState], bool]) -> list[str]:
+        speaking = (state for state in self._states.values() if now_s - self._heard_s[state.session] <= REPLACED_S)
+        return sorted(state.host for state in speaking if is_meant(state))
 
     def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
-        return session in self._heard_s and now_s - self._heard_s[session] <= within_s
+        """Return whether it spoke lately, and follows this end or none."""
+        state = self._states.get(session)
+        return bool(state and state.follows in self._followable) and now_s - self._heard_s[session] <= within_s

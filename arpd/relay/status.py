@@ -42,7 +42,7 @@ def status_line(
     if is_far:
         here, there, leaving, entering = there, here, entering, leaving
     if relay.fault:
-        return f"the {there}'s end is not understood: {relay.fault}"
+        return f"the {there}'s end cannot be used: {relay.fault}"
     if not is_met:
         return f"waiting for the {there}'s end; {leaving.offered} topics of the {here} could cross"
     if is_shared:

@@ -132,7 +132,8 @@ def _since_s(snapshot: Snapshot, finding: Finding) -> float:
 def _found_in(snapshot: Snapshot) -> Iterator[Finding]:
     observation = snapshot.observation
     if where := observation.active_daemon:
-        yield Finding(Condition.STANDING_BY, f"another arpd daemon, on {where}, drives this robot")
+        remedy = f"each robot needs {'a relay.link_domain' if observation.relay else 'a ROS domain'} of its own"
+        yield Finding(Condition.STANDING_BY, f"another arpd daemon, on {where}, drives this robot; {remedy}")
     elif others := observation.other_daemons:
         yield Finding(Condition.SPARE_DAEMON, f"on {listed(others)}, in the same ROS domain")
     if fault := _interface_fault(snapshot):
@@ -197,7 +198,7 @@ def _of_relay(snapshot: Snapshot) -> Iterator[Finding]:
 
 def _why_cut(relay: RelaySummary) -> str:
     if relay.fault:
-        return f"the base computer's end is not understood: {relay.fault}"
+        return f"the base computer's end cannot be used: {relay.fault}"
     if relay.is_reachable:
         return ""
     who = "no end on the base computer is heard"

@@ -119,7 +119,10 @@ def test_an_end_serves_nothing_that_it_does_not_offer(world, eventually):
 
 
 def test_an_action_is_cancelled_across_the_link(world, eventually):
-    """An action is accepted, gives feedback and is cancelled; its result comes long after the time-out of calls."""
+    """An action is accepted, gives feedback and is cancelled; its result comes long after the time-out of calls.
+
+    It comes after an outage, too, in which nobody can send a goal.
+    """
     ends = world("actions: [/fibonacci]", "call_timeout: 5s").start()
     server = fibonacci(ends.side("robot"))
     client, feedback = ActionClient(ends.side("base").node("user"), Fibonacci, "/fibonacci"), []
@@ -130,6 +133,10 @@ def test_an_action_is_cancelled_across_the_link(world, eventually):
     assert handle.accepted
     result = handle.get_result_async()
     eventually("six seconds have passed", lambda: feedback and len(feedback[-1].feedback.sequence) > 32)
+    ends.processes["robot"].send_signal(signal.SIGSTOP)
+    eventually("an outage is seen", lambda: not client.server_is_ready())
+    ends.processes["robot"].send_signal(signal.SIGCONT)
+    eventually("the action crosses again", client.server_is_ready)
     assert not result.done()
     cancelled = finished(eventually, handle.cancel_goal_async())
     assert cancelled.return_code == CancelGoal.Response.ERROR_NONE

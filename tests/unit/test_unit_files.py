@@ -21,14 +21,16 @@ def settings(unit):
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 def test_systemd_finds_nothing_to_complain_about(tmp_path):
-    """systemd-analyze verify accepts all units."""
+    """systemd-analyze verify accepts all units, and those of the base computer for one of several robots."""
     shutil.copy(LAUNCHER, tmp_path)
+    units = []
     for unit in UNITS:
-        text = (SYSTEMD / unit).read_text()
-        (tmp_path / unit).write_text(text.replace(f"{INSTALLED}/", f"{tmp_path}/"))
-    checked = subprocess.run(
-        ["systemd-analyze", "verify", *(tmp_path / unit for unit in UNITS)], capture_output=True, text=True, check=False
-    )
+        text = (SYSTEMD / unit).read_text().replace(f"{INSTALLED}/", f"{tmp_path}/")
+        for name in (unit, unit.replace(".", "@.")) if "/%i/" in text else (unit,):
+            (tmp_path / name).write_text(text)
+            units.append(tmp_path / name.replace("@.", "@robot1."))
+    assert sum("@" in unit.name for unit in units) == 2
+    checked = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
     assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
 
 
@@ -63,9 +65,10 @@ def test_a_unit_is_hardened(unit):
 def test_each_unit_has_folders_and_an_enclave_of_its_own():
     """No unit removes another's log folder when it stops, and none has another's rights."""
     for unit in UNITS:
-        name = unit.removesuffix(".service")
-        assert settings(unit)["RuntimeDirectory"] == name
-        assert f"Environment=ROS_LOG_DIR=%t/{name} ROS_HOME=%t/{name}" in (SYSTEMD / unit).read_text()
+        text = (SYSTEMD / unit).read_text().replace("%N", unit.removesuffix(".service"))
+        name = re.findall(r"^RuntimeDirectory=(.+)$", text, re.MULTILINE)
+        assert name == [unit.removesuffix(".service")]
+        assert f"Environment=ROS_LOG_DIR=%t/{name[0]} ROS_HOME=%t/{name[0]}" in text
     enclaves = [name for unit in UNITS for name in re.findall(r"ENCLAVE_OVERRIDE=(\S+)", (SYSTEMD / unit).read_text())]
     assert sorted(enclaves) == ["/arpd/peer", "/arpd/relay", "/arpd/relay_far", "/arpd/run"]
 

@@ -156,6 +156,8 @@ class Calls:
     def _follow(self, offered: Mapping[str, ServiceOffer], session: int | None, served: Collection[str]) -> None:
         """Serve here what the other end offers, and nothing else; not what is served on this side."""
         self._book.follow(session)
+        if session is None:  # a goal outlives an outage, so its result is awaited
+            offered = {name: offer for name, offer in offered.items() if name.endswith(_GET_RESULT)}
         refused = {name: reason for name in offered if (reason := self._reason_against(name, served))}
         accepted = {name: offer for name, offer in offered.items() if name not in refused}
         # A participant has one type per name, so the next look is soon enough for one that changed.

@@ -82,17 +82,18 @@ class End:
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
-        self._partner = Partner()
         self._there = NOBODY  # the other end's state that this end follows
         self._fault = ""  # of the other end's messages
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
+        self._partner, self._namespace = Partner(session), settings.namespace
         self._new_state = partial(
             EndState,
             session=session,
             host=platform.node(),
             arpd=__version__,
+            namespace=self._namespace,
             link_gids=self._link_view.own.participant.hex(),
             local_gids=self._view.own.participant.hex(),
         )
@@ -185,9 +186,9 @@ class End:
         if is_due or there is not self._there:
             self._follow(there)
         is_reachable = self._partner.is_reachable(now_s)
-        # Calls fail while the other end is unreachable; topics bridge an outage.
-        is_called = is_reachable and not self._is_shared
-        self._calls.offered = (self._there.services, self._there.session) if is_called else ({}, None)
+        # Calls fail while the other end is unreachable; topics and the results of actions bridge an outage.
+        services = {} if self._is_shared else self._there.services
+        self._calls.offered = services, self._there.session if is_reachable and not self._is_shared else None
         self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
         self.link.collect()  # samples that waited for the names of their writers
@@ -204,7 +205,7 @@ class End:
                 continue
             before, self._fault = self._fault, ""
             try:
-                self._partner.tell(decode_state(octets(arrived)), now_s)
+                self._partner.tell(decode_state(octets(arrived), namespace=self._namespace), now_s)
             except ValueError as fault:
                 self._fault = str(fault)
             if self._fault not in {"", before}:
@@ -257,6 +258,7 @@ class End:
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
+            follows=self._there.session,
         )
         if state != self._told:
             self._told = state
@@ -291,12 +293,15 @@ class End:
                 told.hurry()
 
     def _summary(self, now_s: float) -> RelaySummary:
-        here, there = self._told, self._there
+        here, there, fault = self._told, self._there, self._fault
+        if there is NOBODY and (hosts := self._partner.elsewhere(now_s)):
+            what = f"the one on {', '.join(hosts)} serves another {'base computer' if self._is_far else 'robot'}"
+            fault = f"{what}; give each robot a relay.link_domain of its own"
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,
             is_reachable=self._partner.is_reachable(now_s),
-            fault=self._fault,
+            fault=fault,
             to_base=topics_of(robot, base),
             to_robot=topics_of(base, robot),
             **self.incoming.samples,

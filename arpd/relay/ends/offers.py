@@ -100,6 +100,8 @@ class EndState:
     topics, services : what it offers
     wants : topics of the other end that somebody reads here
     refused : topics of the other end that it does not carry, and the reason
+    namespace : `relay.namespace` of its configuration, which tells one robot from another
+    follows : session of the other end that it follows, 0 = none
     link_gids : first 12 bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not told
     local_gids : the same of those in its local domain
     """
@@ -111,6 +113,8 @@ class EndState:
     services: _ByName[ServiceOffer] = field(default_factory=dict)
     wants: Annotated[frozenset[str], FailFast()] = frozenset()
     refused: _ByName[str] = field(default_factory=dict)
+    namespace: str = ""
+    follows: Annotated[int, Field(ge=0, lt=WRAP)] = 0
     link_gids: str = ""
     local_gids: str = ""
 
@@ -123,13 +127,13 @@ def encode_state(state: EndState) -> bytes:
     return pack({"version": VERSION, **_STATE.dump_python(state, mode="json")})
 
 
-def decode_state(data: bytes) -> EndState:
-    """Return the state from its bytes.
+def decode_state(data: bytes, *, namespace: str = "") -> EndState:
+    """Return the state from its bytes, for an end with this `relay.namespace`.
 
     Raises
     ------
     ValueError
-        If the other end speaks another version, or the bytes are no state.
+        If the other end speaks another version or has another namespace, or the bytes are no state.
     """
     try:
         document = unpack(data, most_bytes=_MOST_BYTES)
@@ -139,7 +143,11 @@ def decode_state(data: bytes) -> EndState:
         words = f"it speaks version {version!r} (arpd {document.get('arpd', '?')}), this end version {VERSION}"
         raise ValueError(f"{words}; install one arpd on both ends")
     try:
-        return _STATE.validate_python(document)
+        state = _STATE.validate_python(document)
     except ValidationError as faults:
         first = faults.errors(include_url=False)[0]
         raise ValueError(f"{_STRANGE} ({'.'.join(map(str, first['loc']))}: {first['msg']})") from faults
+    if state.namespace != namespace:
+        words = f"its configuration has relay.namespace {state.namespace!r}, and this end {namespace!r}"
+        raise ValueError(f"{words}; give each robot a relay.link_domain of its own, and both its ends one file")
+    return state

@@ -43,7 +43,7 @@ def test_all_is_well_exits_0(status):
         (document(config_error="a.yaml:1:1: x: y; z"), "Reload refused: a.yaml:1:1: x: y; z"),
         (
             document(held_s=12.0, observation={"relay": RelaySummary(is_reachable=True, fault="it speaks version 2")}),
-            "The relay cannot reach its other end: the base computer's end is not understood: it speaks version 2",
+            "The relay cannot reach its other end: the base computer's end cannot be used: it speaks version 2",
         ),
     ],
 )

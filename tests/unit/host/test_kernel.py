@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from arpd.host.kernel import counters, interface_to, is_own_address, route_mtu
+from arpd.host import kernel
+from arpd.host.kernel import counters, interface_to, interface_towards, is_own_address, route_mtu
 
 SNMP = "Udp: InDatagrams RcvbufErrors\nUdp: 1000 7\nUdpLite: InDatagrams RcvbufErrors\nUdpLite: 9 9\n"
 
@@ -32,3 +33,9 @@ def test_the_route_to_this_computer_is_the_loopback(network):
     assert not is_own_address("no.such.host.invalid")
     assert interface_to("no.such.host.invalid") is None
     assert route_mtu("256.0.0.1") is None
+
+
+def test_the_link_is_where_the_other_end_is(network, monkeypatch):
+    """A base computer with Ethernet and Wi-Fi reports what arrives from its robot; a name is not looked up."""
+    monkeypatch.setattr(kernel, "likeliest_interface", lambda: "wlan0")
+    assert [interface_towards(end) for end in ("127.0.0.1", "192.0.2.77", "localhost", None)] == ["lo", *3 * ["wlan0"]]

@@ -178,6 +178,26 @@ def test_an_unreachable_end_fails_calls_at_once():
     assert link.outcomes[2:] == [ANSWER]
 
 
+def test_a_call_that_may_take_any_time_waits_through_an_outage():
+    """The result of an action arrives after it; a restart of the other end still ends the call."""
+    link = Link()
+    link.call(timeout_s=math.inf)
+    link.hear(link.to_callee.pop()[1])
+    link.caller.follow(None)
+    link.callee.finish(link.running[0], ANSWER)
+    link.to_caller.clear()
+    assert link.outcomes == []
+    link.caller.follow(BASE)
+    link.caller.step(REPEAT_S)
+    link.hear(link.to_callee.pop()[1])
+    link.caller.receive(BASE, link.to_caller.pop()[1])
+    assert link.outcomes == [ANSWER]
+    link.call(timeout_s=math.inf)
+    link.caller.follow(None)
+    link.caller.follow(NEW)
+    assert link.outcomes[1].reason is FailureReason.RESTARTED
+
+
 def test_a_restarted_callee_does_not_run_what_its_predecessor_may_have_run():
     """A request that was meant for an ended process does not run, and fails once the caller knows the new session."""
     link = Link()

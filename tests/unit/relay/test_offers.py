@@ -61,3 +61,11 @@ def test_a_state_of_another_version_says_so(monkeypatch):
     monkeypatch.undo()
     with pytest.raises(ValueError, match=rf"version 9 \(arpd 9.9\), this end version {offers.VERSION}"):
         decode_state(data)
+
+
+def test_a_state_of_another_robot_is_refused():
+    """Two robots in one link domain differ by their namespaces; the fault names both."""
+    data = encode_state(EndState(session=7, namespace="/spot"))
+    assert decode_state(data, namespace="/spot").session == 7
+    with pytest.raises(ValueError, match=r"relay\.namespace '/spot', and this end '/rosie'; .* relay\.link_domain"):
+        decode_state(data, namespace="/rosie")
