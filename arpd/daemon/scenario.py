@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
 from random import Random
@@ -149,7 +148,6 @@ class _Run:
         )
         for flow in scenario.cross_traffic:
             flow.play(timeline, self._up)
-        self._received: deque[tuple[float, float]] = deque()  # when (s), bytes
         self._publishers: list[SimulatedPublisher | SimulatedLinkTopic] = []
         self._moments: list[Moment] = []
         self._causes: list[str] = []  # of the plans since the last moment
@@ -254,7 +252,7 @@ class _Run:
         )
 
     def _truth(self) -> LinkEstimate:
-        """Return the true state of the link: the rates of the next 0.2 s, and the queue and the delivery of now."""
+        """Return the true state of the link: the rates of the next 0.2 s, and the queue of now; nobody's ticks rest."""
         model, run_s = self._scenario.model, max(0.0, self._timeline.now_s)
         rate, loss_ratio = self._mean_rate(run_s, _TRUTH_S), model.loss_ratio(run_s)
         is_out = rate <= 0.0 or loss_ratio >= 1.0
@@ -269,7 +267,7 @@ class _Run:
             evidence="the truth",
             queue_delay_s=self._up.queue_delay_s,
             cross_traffic_bytes_per_second=cross_bytes / _TRUTH_S,
-            delivery_rate_bytes_per_second=self._delivered_bytes_per_second(),
+            delivery_rate_bytes_per_second=rate,
             # Aggregates are full on a busy link.
             packet_overhead_s=model.packet_overhead_s / model.aggregate_packets,
             loss_ratio=None if is_out else loss_ratio,
@@ -278,15 +276,6 @@ class _Run:
     def _mean_rate(self, start_s: float, span_s: float) -> float:
         """Return the mean rate over a span of run time; a recorded one changes within the span (bytes/s)."""
         return (self._service.by(start_s + span_s) - self._service.by(start_s)) / span_s
-
-    def _delivered_bytes_per_second(self) -> float:
-        """Return the rate at which bytes arrived over about the last 0.2 s (bytes/s)."""
-        now_s, received = self._timeline.now_s, self._received
-        received.append((now_s, self._up.received_bytes()))
-        while len(received) > 1 and received[1][0] <= now_s - _TRUTH_S:
-            received.popleft()
-        span_s = now_s - received[0][0]
-        return (received[-1][1] - received[0][1]) / span_s if span_s > 0 else 0.0
 
     def _sample_ages(self) -> None:
         if self._timeline.now_s < self._scenario.duration_s:

@@ -73,7 +73,7 @@ class Estimator:
         self._largest_bytes = 0.0  # on the link, in all its copies
         self._pinged: list[float] = []
         self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
-        self._queues = QueuePast(parameters.BUSY_AFTER_S)
+        self._queues = QueuePast()
         self._learns_from_s = -math.inf
         self._used_s = math.inf  # when more than next to nothing left or arrived last
 

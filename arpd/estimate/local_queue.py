@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.estimate.parameters import DELIVERY_WINDOW_S
+from arpd.estimate.parameters import BUSY_AFTER_S, DELIVERY_WINDOW_S
 
 if TYPE_CHECKING:
     from arpd.model.interface import LinkCounters
@@ -148,21 +148,15 @@ class LocalQueue:
 
 
 class QueuePast:
-    """Lengths of the queue, as far back as makes a queue stand.
+    """Lengths of the queue, as far back as proves a busy link."""
 
-    Parameters
-    ----------
-    span_s : time that it covers (s)
-    """
-
-    def __init__(self, span_s: float) -> None:
-        self._span_s = span_s
+    def __init__(self) -> None:
         self._queues: deque[tuple[float, float]] = deque()  # time s, queue s
 
     def note(self, now_s: float, queue_s: float) -> None:
         """Note the queue now (s)."""
         self._queues.append((now_s, queue_s))
-        while len(self._queues) > 1 and now_s - self._queues[1][0] >= self._span_s:
+        while len(self._queues) > 1 and now_s - self._queues[1][0] >= BUSY_AFTER_S:
             self._queues.popleft()
 
     def clear(self) -> None:

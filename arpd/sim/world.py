@@ -181,7 +181,7 @@ class SimulatedWorld:
         wire_bytes = probe_wire_bytes(request.packet_bytes)
         for index in range(request.packets):
             sent_s = self._timeline.now_s + index * _PROBE_SPACING_S
-            arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else _nobody
+            arrive = partial(self._on_probe, request, index, sent_s) if self._has_peer else lambda: None
             self._timeline.at(sent_s, partial(self._up.send, wire_bytes, 1, arrive))
 
     # -- on the nodes
@@ -257,7 +257,3 @@ class SimulatedWorld:
         now_s = self._reported_s = self._timeline.now_s
         self._reports.append(replace(report, received_at_s=now_s, return_delay_s=now_s - (sent_s + _PEER_CLOCK_S)))
         self._on_report_arrived()
-
-
-def _nobody() -> None:
-    """Receive a probe that no peer waits for."""
