@@ -90,7 +90,7 @@ class Daemon:
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
         self.record = Record(tell=tell, timed=timed)
         self._world = world
-        self._began_s: float | None = None  # when the world was first observed
+        self._began_s = math.inf  # when the world was first observed
         self._has_interface = False  # whether it was ever there
         self._clock = clock
         self._wall_clock = wall_clock
@@ -134,7 +134,7 @@ class Daemon:
         else:
             self._follow(seen, link, budget)
         if not seen.active_daemon:
-            self._send(now_s, link, budget)
+            self._send(seen, link, budget)
         self._note(seen, link, is_planning=is_planning)
         return self._planned.decision
 
@@ -142,8 +142,7 @@ class Daemon:
         seen = self._world.observe(now_s)
         if pinned := self.settings.graph.pinned:
             seen = replace(seen, **pinned)
-        if self._began_s is None:
-            self._began_s = now_s
+        self._began_s = min(self._began_s, now_s)
         if seen.counters is not None:
             self.interface, self._has_interface = seen.counters.interface, True
         return seen
@@ -207,14 +206,20 @@ class Daemon:
             crossing=_crossing(seen),
         )
 
-    def _send(self, now_s: float, link: LinkEstimate, budget: float) -> None:
+    def _is_finding(self, seen: Observation) -> bool:
+        """Return whether there is no price yet, and nodes may have one of a predecessor, which is better than none."""
+        is_new = self._planned.allocation.price is None and seen.now_s - self._began_s < _HEAR_S
+        return is_new and (not seen.publishers or any(publisher.generation for publisher in seen.publishers))
+
+    def _send(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Send the price where it is due, and the probes that the estimator wants."""
+        now_s = seen.now_s
         free = Price(share_per_weight=math.inf, capacity_bytes_per_second=max(1.0, link.capacity_bytes_per_second))
         price, share, spare = self._planned.allocation.price or free, _share(budget, link), 0.0
         if math.isinf(price.share_per_weight):
             spare = max(0.0, share - sum(topic.share for topic in self._planned.allocation.topics))
         price = replace(price, loss_ratio=link.loss_ratio, budget_share=share, spare_share=spare)
-        if self._broadcast.is_due(price, now_s):
+        if not self._is_finding(seen) and self._broadcast.is_due(price, now_s):
             self._world.set_price(price)
         for request in self._estimator.wanted_probes(now_s, is_short=math.isfinite(price.share_per_weight)):
             self._world.probe(request)
@@ -275,7 +280,7 @@ class Daemon:
         """
         generation = self._governor.plan.generation + 1
         self._observe(self._clock())
-        while self._clock() - (self._began_s or 0.0) < _HEAR_S:
+        while self._clock() - self._began_s < _HEAR_S:
             # Endpoints with a predecessor's plan, or the active daemon, may not have been heard yet.
             wait(TICK_S)
             self._observe(self._clock())

@@ -231,7 +231,9 @@ class Estimator:
             why = f"trains see {rate * 8e-6:.1f} Mbit/s"
         if now_s > self._learns_from_s:
             why = self._weigh_delivery(now_s, pinged, has_reports=has_reports) or why
-        if why and (self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS):
+        # Beside a queue that stands no train leaves, and what is delivered is the capacity.
+        is_measured = self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS
+        if why and (is_measured or self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s):
             self._stated.follow(now_s, CapacityKind.PEER, why)
 
     def _weigh_delivery(self, now_s: float, pinged: Sequence[float], *, has_reports: bool) -> str:

@@ -110,6 +110,21 @@ def test_a_daemon_that_stands_by_only_watches():
     assert world.probes
 
 
+@pytest.mark.parametrize(("generation", "waits"), [(7, True), (0, False)])
+def test_a_predecessors_price_stays_until_there_is_another(generation, waits):
+    """A daemon that has measured nothing yet sends a price to new nodes alone, because it would limit nothing."""
+    world: Any = Robot()
+    world.change(generation=generation, direction=Direction.SENSING, remote_readers=1)
+    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    daemon.tick(world.now_s)
+    while daemon.snapshot.allocation.price is None:
+        assert bool(world.prices) is not waits
+        world.wait(0.1)
+        daemon.tick(world.now_s)
+    assert 1.0 < world.now_s < 5.0
+    assert world.prices
+
+
 @pytest.mark.parametrize("stage", ["observe", "solve"])
 def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     """Such a tick sends nothing, and the next one that succeeds continues from the last good one."""

@@ -123,6 +123,16 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert link.ticks(5, trains=[FIRST]).capacity_bytes_per_second > 6e5
 
 
+def test_a_queue_at_the_start_shows_the_capacity():
+    """A daemon that starts again beside a queue does not wait for trains, of which none would leave."""
+    link = Link()
+    link.ticks(12)
+    estimate = link.ticks(15, **FALLEN)
+    assert link.estimator.has_evidence
+    assert estimate.kind is CapacityKind.PEER
+    assert estimate.capacity_bytes_per_second == about(5e5)
+
+
 def test_samples_that_stay_on_the_host_are_no_bursts():
     """Large samples for remote readers may stand before the link for a moment; local ones never do."""
     allowances = {
