@@ -96,12 +96,12 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         return load_settings(config_path, interfaces=None, local_domain=local_domain())
 
     settings = load()  # before ROS is imported, so that a fault in the file shows at once
-    from arpd.ros.runtime import control_node, daemon_profile, prepare_environment  # noqa: PLC0415 - as above
+    from arpd.ros.runtime import DAEMON_PROFILE, control_node, prepare_environment  # noqa: PLC0415 - as above
 
     addresses = Addresses(lambda: daemon.interface)
     link_domain = settings.relay.link(is_far=False)
     if link_domain is not None:
-        prepare_environment(daemon_profile())
+        prepare_environment(DAEMON_PROFILE)
     with control_node("arpd", link_domain) as node, _own_domain(node, link_domain) as own_node:
         from arpd.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.ros.world import RosControl  # noqa: PLC0415

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-import re
 import signal
 import socket
 import time
@@ -31,7 +30,7 @@ PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
-_LARGE_SOCKET = re.compile("<listenSocketBufferSize>.*?</listenSocketBufferSize>")
+DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 
 
 def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
@@ -46,16 +45,6 @@ def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMap
     if profile != FASTDDS_PROFILE:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-def daemon_profile() -> Path:
-    """Return the profile of the ends without their large socket, in memory of this process.
-
-    The daemon reads little, and Fast DDS makes shared memory of twice the socket's size: measured, 8 MB that fill.
-    """
-    file = os.memfd_create("fastdds-daemon.xml")
-    os.write(file, _LARGE_SOCKET.sub("", TWO_ENDED_PROFILE.read_text()).encode())
-    return Path(f"/proc/self/fd/{file}")
 
 
 def _is_ours(path: Path) -> bool:
