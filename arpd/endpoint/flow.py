@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from arpd.endpoint.lane import CATCH_UP, Lane
 from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import FlowState, Overflow, SwapResult, WithheldCause, Writer, WriterQos
-from arpd.model.plan import TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +26,7 @@ W = TypeVar("W", bound=Writer)
 class Flow(Generic[W]):
     """Writes the samples that its lane releases by the current writer, and swaps that writer when its QoS shall change.
 
-    Until `retune` is called it behaves as a plain publisher: unpaced, with the QoS it was made with. One exception:
+    Until the lane has a plan it behaves as a plain publisher: unpaced, with the QoS it was made with. One exception:
     while a daemon is there and has no plan for the topic yet, large samples wait some seconds for what is spare.
 
     Parameters
@@ -47,7 +46,7 @@ class Flow(Generic[W]):
 
     Notes
     -----
-    Any thread may call `retune` and `state`. Only one at a time may call `write` and `service`: the one that has
+    Any thread may call `request` and `state`. Only one at a time may call `write` and `service`: the one that has
     claimed the lane.
     """
 
@@ -77,17 +76,12 @@ class Flow(Generic[W]):
             is_ordered=is_ordered,
             patience_s=0.0 if is_ordered else _PATIENCE_S,
         )
-        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        self.lane.plan = replace(self.lane.plan, deadline_ns=qos.deadline_ns, depth=qos.depth)
         self._withheld: Counter[str] = Counter()  # behind the queue, by cause
         # Of the writers before, less those of this one until it was in force.
         self._missed = -self._writer.deadlines_missed()
         self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
-
-    @property
-    def plan(self) -> TopicPlan:
-        """Settings requested last."""
-        return self._plan
 
     @property
     def qos(self) -> WriterQos:
@@ -111,13 +105,9 @@ class Flow(Generic[W]):
         if self._held:
             self._on_held()
 
-    def retune(self, plan: TopicPlan, *, qos: WriterQos) -> None:
-        """Take new settings, of which the queue gives the lane its rates; the writer gets this QoS by a swap.
-
-        It is the plan's, unless the publisher refuses that.
-        """
+    def request(self, qos: WriterQos) -> None:
+        """Ask for a writer with this QoS, which a swap brings; the plan's rates are the queue's to give."""
         with self._lock:
-            self._plan = plan
             self._swap.request(qos)
 
     def set_loss(self, loss_ratio: float | None) -> None:

@@ -174,11 +174,11 @@ class AdaptivePublisher:
     @property
     def plan(self) -> TopicPlan:
         """Settings requested last."""
-        return self._flow.plan
+        return self._flow.lane.plan
 
     def retune(self, plan: TopicPlan) -> None:
         """Take new settings: pacing changes now, depth and deadline by a swap."""
-        if plan == self._flow.plan and not self._refusal.words:
+        if plan == self._flow.lane.plan and not self._refusal.words:
             return  # repeated for another node
         depth = self.baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
         qos = WriterQos(depth=depth, deadline_ns=plan.deadline_ns)
@@ -186,7 +186,7 @@ class AdaptivePublisher:
             self._refusal = NO_REFUSAL
         elif self._lasting_refusal.words:
             self._refusal, qos = self._lasting_refusal, self._flow.qos
-        self._flow.retune(plan, qos=qos)
+        self._flow.request(qos)
         self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._thread.wake(self)
 
@@ -194,7 +194,7 @@ class AdaptivePublisher:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
         if price != self._flow.lane.price:
             self._flow.set_loss(None if price is None else price.loss_ratio)
-            self._thread.retune(self._flow.lane, self._flow.plan, price)
+            self._thread.retune(self._flow.lane, self._flow.lane.plan, price)
 
     def service(self, now_s: float) -> float:
         """Take a step of the swap, and write what it held; return when to call again (s)."""

@@ -117,7 +117,7 @@ class WritingThread:
         expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
         with self._lock:
             self._queue.offer(lane, message, now_s, source=source, expires_s=expires_s)
-            self._note_offered(lane, message)
+            self._wake_for_queue()
 
     def publish(self, lane: Lane, message: bytes) -> None:
         """Write a message in this thread if it may leave now, after the one that another thread is writing."""
@@ -217,9 +217,6 @@ class WritingThread:
         if by_s < self._next_s:
             self._next_s = by_s
             self._changed.notify()
-
-    def _note_offered(self, lane: Lane, message: bytes) -> None:  # noqa: ARG002 - the relay's thread needs them
-        self._wake_for_queue()
 
     def _wake_for_queue(self) -> None:
         if self._queue.is_waiting and self._next_s > (now_s := self._clock()) + SOON_S:

@@ -28,7 +28,7 @@ _UNKNOWN_PACKETS = 4
 # costs both ends as much as the samples in it.
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
-TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES  # that leave in one packet
+_TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
 
@@ -65,8 +65,7 @@ class LinkQueue(PacedQueue):
         self.flight = Flight()
         self._coach = Lane(together)
         self._turns = Turns(super()._finish)
-        self._departs_s = -math.inf  # when the next messages leave together
-        self._expects_s = -math.inf  # the same where others will most likely have come
+        self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
         self._was_out = False
         self._received = Received()
@@ -182,7 +181,7 @@ class LinkQueue(PacedQueue):
             lane.withheld[WithheldCause.FAILED.value] += 1
             return
         super().offer(lane, message, now_s, source=source, expires_s=expires_s)
-        if lane.has_company and len(message) > TOGETHER_BYTES:
+        if lane.has_company and len(message) > _TOGETHER_BYTES:
             self._turns.drop(lane)
             lane.has_company = False  # for good: a later small one must not overtake it on another writer
         self._turns.touch(lane)
@@ -237,7 +236,7 @@ class LinkQueue(PacedQueue):
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
-        room, misses, is_full = TOGETHER_BYTES, 0, False
+        room, misses, is_full = _TOGETHER_BYTES, 0, False
         for each, is_due in boarding.items():
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
@@ -247,9 +246,9 @@ class LinkQueue(PacedQueue):
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
-        departs_s, have_waited = now_s if is_full else now_s + self._company_s, now_s - self._departs_s < SOON_S
-        self._expects_s = departs_s if have_waited and len(aboard) > 1 else -math.inf
-        self._departs_s = self._turns.first.departs_s = self._turns.in_turn.departs_s = departs_s
+        departs_s = now_s if is_full else now_s + self._company_s
+        self._turns.first.departs_s = self._turns.in_turn.departs_s = departs_s
+        self._expects_s = departs_s if len(aboard) > 1 else -math.inf
         if not aboard:
             return None
         message = b"".join(message for _, message in aboard)

@@ -85,7 +85,7 @@ class ReadingThread:
     Parameters
     ----------
     step : called after every turn; returns when to call it again at the latest, by the clock (s)
-    rest_s : rest after that at most, in which more samples come together (s)
+    rest_s : rest after every turn, in which more samples come together (s)
     clock : monotonic clock (s)
     """
 
@@ -190,14 +190,10 @@ class ReadingThread:
 
     def _run(self) -> None:
         left: dict[int, int] = {}  # what was announced and is not taken yet, by event
-        ready: set[int] = set()
         look_s = self._clock() + _TURN_S
         while True:
             self._close_retired()
-            due_s = self._step_now()
-            if ready and self._rest_s:
-                time.sleep(max(0.0, min(self._rest_s, due_s - self._clock())))
-            wait_s = min(_TURN_S, due_s - self._clock())
+            wait_s = min(_TURN_S, self._step_now() - self._clock())
             ready = {event for event, _ in self._events.poll(0 if left else max(0.0, wait_s))}
             if self.note_finished() >= look_s:
                 look_s = self.finished_s + _TURN_S
@@ -217,6 +213,8 @@ class ReadingThread:
                 except Exception:
                     log.exception("a sample of %s failed; the next one follows", reader.name if reader else "a topic")
                     left[event] = announced
+            if ready and self._rest_s:
+                time.sleep(self._rest_s)
 
     def _step_now(self) -> float:
         try:

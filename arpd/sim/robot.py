@@ -168,7 +168,6 @@ class SimulatedPublisher(SimulatedSource):
         )
         self._flow.lane.write = self._write
         self._thread = thread
-        self._price: Price | None = None
         thread.add(self._flow.lane)
         self._alarm = Alarm(timeline, self._service)
 
@@ -181,15 +180,14 @@ class SimulatedPublisher(SimulatedSource):
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan: pacing changes now, depth and deadline with a writer swap."""
-        self._flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
-        self._thread.retune(self._flow.lane, plan, self._price)
+        self._flow.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._service()
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is heard."""
-        self._price = price
         self._flow.set_loss(None if price is None else price.loss_ratio)
-        self._thread.retune(self._flow.lane, self._flow.plan, price)
+        self._thread.retune(self._flow.lane, self._flow.lane.plan, price)
 
     def state(self) -> PublisherState:
         """Return the state to announce."""

@@ -124,7 +124,6 @@ class End:
             settings=settings,
             linger_s=_LINGER_S,
             node_name=self._side.node_name,
-            collect=self.link.collect,
         )
         # A topic of weight 1 in the paced queue, of which none is dropped.
         self._call_lane = Lane(calls.publish, is_kept=True)
@@ -191,10 +190,10 @@ class End:
         self._calls.offered = services, self._there.session if is_reachable and not self._is_shared else None
         self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
-        self.link.collect()  # samples that waited for the names of their writers
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
-        self._report(now_s)
+        if is_due:
+            self._report(now_s)
 
     def _hear(self, now_s: float) -> None:
         """Take what the other end has sent."""

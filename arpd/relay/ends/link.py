@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from functools import partial
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.relay.envelope import Assembly, wrap
-from arpd.relay.link_queue import TOGETHER_BYTES, LinkQueue
+from arpd.relay.link_queue import LinkQueue
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 
@@ -59,7 +58,6 @@ class LinkThread(WritingThread):
         self._write_state, self._write_sign = state, sign
         self.partner_gids = ""
         self._state: bytes | None = None  # that waits; a newer one takes its place
-        self._collected_bytes = 0  # offered since the last look
 
     def is_sending(self, lane: Lane, source: Hashable) -> bool:
         """Return whether a message of this source is on its way, or was just now."""
@@ -92,19 +90,6 @@ class LinkThread(WritingThread):
             session = self.queue.hear(sign, self._clock())
             self._wake(0.0)
         return session
-
-    def collect(self) -> float:
-        """Look at what was offered in a turn of a reading thread; return when to call again if nothing comes (s)."""
-        with self._lock:
-            self._collected_bytes = 0
-            self._wake_for_queue()
-        return math.inf
-
-    def _note_offered(self, lane: Lane, message: bytes) -> None:
-        """Let a message wait for those of the same turn that leave together with it."""
-        self._collected_bytes += len(message)
-        if not lane.has_company or self._collected_bytes > TOGETHER_BYTES:
-            self.collect()
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:
         if (sign := self.queue.take_sign(now_s)) is not None:

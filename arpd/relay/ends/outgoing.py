@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import defaultdict
 from dataclasses import replace
@@ -89,7 +88,6 @@ class Outgoing:
     settings : groups, overflow and depths
     linger_s : how long a topic stays that nobody wants, or offers, any more (s)
     node_name : returns the name by which a node is offered, from its local name
-    collect : called when samples that came together have been sent on, as the step of a `ReadingThread`
 
     Attributes
     ----------
@@ -108,32 +106,33 @@ class Outgoing:
         settings: RelaySettings,
         linger_s: float,
         node_name: Callable[[str], str] = str,
-        collect: Callable[[], float] = lambda: math.inf,
     ) -> None:
         self._node, self._name_of, self._node_name = node, name_of, node_name
         self._carry, self._settings = carry, settings
         self._linger_s = linger_s
         self._groups = {topic: group.name for group in settings.groups for topic in group.topics}
         self._view = GraphView.of(node)
+        self._changes = -1  # of the graph, when its topics were read last
         self._topics: dict[str, Surveyed] = {}
         self._planned: dict[str, tuple[int, int]] = {}  # that it tells, by the name on the link
         self._planned_s = 0.0  # when it may tell others
-        self.thread = ReadingThread(step=collect, rest_s=_REST_S)
+        self.thread = ReadingThread(rest_s=_REST_S)
         self.offers: dict[str, TopicOffer] = {}
         self.carried: dict[str, Carried] = {}
         self.refused: dict[str, str] = {}
 
     def look(self) -> None:
         """Follow the graph."""
-        changes = self._view.look()
-        names = {self._name_of(local): local for local in sorted(self._view.types) if is_full_name(local)}
-        self._topics = {
-            name: self._topics.get(name) or Surveyed(self._view, local)
-            for name, local in names.items()
-            if name is not None
-        }
+        before, self._changes = self._changes, self._view.look()
+        if self._changes != before:
+            names = {self._name_of(local): local for local in sorted(self._view.types) if is_full_name(local)}
+            self._topics = {
+                name: self._topics.get(name) or Surveyed(self._view, local)
+                for name, local in names.items()
+                if name is not None
+            }
         for topic in self._topics.values():
-            topic.look(changes)
+            topic.look(self._changes)
         planned = {name: each.planned for name, each in self.carried.items() if any(each.planned)}
         if planned != self._planned and (now_s := time.monotonic()) >= self._planned_s:
             self._planned, self._planned_s = planned, now_s + _PLANS_S

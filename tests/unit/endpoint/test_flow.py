@@ -55,13 +55,13 @@ class World(swap_world.World):
         return self.writers[-1]
 
     def retune(self, **changes):
-        plan = replace(self.flow.plan, **changes)
-        self.flow.retune(plan, qos=WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        plan = replace(self.flow.lane.plan, **changes)
+        self.flow.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self.queue.retune(self.flow.lane, plan, self.price)
 
     def set_price(self, price):
         self.price = price
-        self.queue.retune(self.flow.lane, self.flow.plan, price)
+        self.queue.retune(self.flow.lane, self.flow.lane.plan, price)
 
     def publish(self, sample):
         """Do as a thread that publishes: write at once what may leave, and leave the rest to the other thread."""
@@ -173,7 +173,7 @@ def test_every_sample_is_written_withheld_or_waiting(steps, overflow):
 
 def possible_causes(world, *, is_broken):
     """Return the causes for which a sample may be withheld now."""
-    plan_hz = world.flow.plan.rate_hz
+    plan_hz = world.flow.lane.plan.rate_hz
     priced = {WithheldCause.PRICE} if world.flow.state().paced_rate_hz < plan_hz else set()
     paced = {WithheldCause.RATE} if not priced and plan_hz < math.inf else set()
     return {WithheldCause.BLOCKED} | priced | paced | ({WithheldCause.FAILED} if is_broken else set())

@@ -349,7 +349,7 @@ def test_on_a_fast_link_too_quick_topics_share_their_packets():
 
 
 def test_the_thread_wakes_by_itself_for_what_quick_topics_will_bring():
-    """After a packet for which several messages waited the next departure is due without any; after another none."""
+    """After a packet of several messages the next departure is due without any; after one of a single message none."""
     link = Link()
     for name in "ab":
         link.lane(name, has_company=True)
