@@ -29,11 +29,12 @@ FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
+OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 
 
-def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
+def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
     """Give Fast DDS arpd's profile, unless the user has chosen another one than arpd's, and the sight of all topics."""
     chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
     if all(_is_ours(Path(path)) for path in chosen):
@@ -42,7 +43,7 @@ def prepare_environment(profile: Path = FASTDDS_PROFILE, environment: MutableMap
         environment[PROFILE_VARIABLES[0]] = str(profile)
     if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
         environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
-    if profile != FASTDDS_PROFILE:
+    if profile != OWN_PROFILE:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -68,7 +69,7 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     link : domain that it joins; the host's own domain when None
     context : rclpy context to start for it; None = the process's own, for a link a new one
     """
-    prepare_environment(FASTDDS_PROFILE if link is None else TWO_ENDED_PROFILE)
+    prepare_environment(OWN_PROFILE if link is None else TWO_ENDED_PROFILE)
     try:
         import rclpy  # noqa: PLC0415 - ROS may be missing, and `arpd check` works without it
         from rclpy.parameter import Parameter  # noqa: PLC0415

@@ -9,12 +9,15 @@ from arpd.ros.profile import missing_in_profile
 from arpd.ros.runtime import (
     DAEMON_PROFILE,
     FASTDDS_PROFILE,
+    OWN_PROFILE,
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     _discovery,
     prepare_environment,
     send_without_waiting,
 )
+
+OURS = OWN_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
@@ -24,7 +27,7 @@ def test_a_profile_of_the_users_own_stays(name, tmp_path):
         path = tmp_path / "own.xml"
         path.unlink(missing_ok=True) if content is None else path.write_text(content)
         environment = {name: str(path)}
-        prepare_environment(FASTDDS_PROFILE, environment)
+        prepare_environment(OWN_PROFILE, environment)
         assert environment == {name: str(path)}
 
 
@@ -48,13 +51,15 @@ def test_two_ends_stay_on_their_host_unless_told_otherwise():
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
-@pytest.mark.parametrize("profile", [FASTDDS_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "profile", [FASTDDS_PROFILE, OWN_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE], ids=lambda path: path.stem
+)
 def test_arpds_profiles_miss_nothing(name, profile, tmp_path):
     """Each profile is right, whatever variable names it."""
     assert missing_in_profile({name: str(profile)}, folder=tmp_path) == ""
 
 
-@pytest.mark.parametrize("profile", [FASTDDS_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE], ids=lambda path: path.stem)
+@pytest.mark.parametrize("profile", OURS, ids=lambda path: path.stem)
 def test_a_participant_announces_itself_from_another_thread_and_is_not_slowed(profile):
     """Only with a throughput controller Fast DDS listens before answers come; this one allows 8 Gbit/s."""
     names = "{*}bytesPerPeriod", "{*}periodMillisecs"
@@ -62,6 +67,15 @@ def test_a_participant_announces_itself_from_another_thread_and_is_not_slowed(pr
     nbytes, period_ms = (int(root.findtext(f".//{{*}}throughputController/{name}")) for name in names)
     assert nbytes / period_ms >= 1e6
     assert nbytes < 2**31  # Fast DDS keeps it in 32 bits, with a sign
+
+
+def test_nodes_of_the_user_announce_themselves_as_ever():
+    """The controller's thread wakes a hundred times a second, so only arpd's processes take the profile with it."""
+    nodes, own = (ET.parse(profile).getroot() for profile in (FASTDDS_PROFILE, OWN_PROFILE))
+    assert nodes.find(".//{*}participant") is None
+    assert [*map(ET.tostring, nodes.find(".//{*}data_writer"))] == [*map(ET.tostring, own.find(".//{*}data_writer"))]
+    prepare_environment(environment=(environment := {PROFILE_VARIABLES[0]: str(FASTDDS_PROFILE)}))
+    assert environment == {PROFILE_VARIABLES[0]: str(OWN_PROFILE)}
 
 
 def test_the_daemon_s_profile_is_that_of_the_ends_without_their_socket():
@@ -114,9 +128,9 @@ def test_the_transports_chosen_stay_and_only_an_option_is_added(before, after):
 )
 def test_a_discovery_server_tells_arpd_of_every_topic(before, wanted):
     """A plain client hears only of topics that it uses itself; arpd is a super client unless the user says no."""
-    prepare_environment(FASTDDS_PROFILE, alone := dict(before))
+    prepare_environment(OWN_PROFILE, alone := dict(before))
     assert alone.get("ROS_SUPER_CLIENT") == before.get("ROS_SUPER_CLIENT")
-    prepare_environment(FASTDDS_PROFILE, served := {**before, "ROS_DISCOVERY_SERVER": "127.0.0.1:11811"})
+    prepare_environment(OWN_PROFILE, served := {**before, "ROS_DISCOVERY_SERVER": "127.0.0.1:11811"})
     assert served["ROS_SUPER_CLIENT"] == wanted
 
 
