@@ -19,16 +19,18 @@ class Partner:
     """Follows the states and the signs of life of the other end, and its restarts.
 
     A killed end returns as a new session. Two ends that run at the same time are two sessions that both speak: the
-    first one stays in force, the other one is named. An end that follows another one than this is not followed: of two
-    robots in one link domain, the second would obey what is meant for the first.
+    first one stays in force, the other one is named. A robot's end does not follow one that follows another robot's: of
+    two robots in one link domain, the second would obey what is meant for the first. The base computer's end follows at
+    once, because after its restart the robot's follows its predecessor for a while.
 
     Parameters
     ----------
     session : of this end
+    is_far : whether it is the base computer's
     """
 
-    def __init__(self, session: int) -> None:
-        self._followable = {0, session}
+    def __init__(self, session: int, *, is_far: bool = False) -> None:
+        self._session_here, self._is_far = session, is_far
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
@@ -67,13 +69,16 @@ class Partner:
 
     def elsewhere(self, now_s: float) -> list[str]:
         """Name the hosts of sessions that speak and follow another end than this one."""
-        return self._hosts(now_s, lambda state: state.follows not in self._followable)
+        return self._hosts(now_s, lambda state: not self._is_free(state))
 
     def _hosts(self, now_s: float, is_meant: Callable[[EndState], bool]) -> list[str]:
         speaking = (state for state in self._states.values() if now_s - self._heard_s[state.session] <= REPLACED_S)
         return sorted(state.host for state in speaking if is_meant(state))
 
+    def _is_free(self, state: EndState) -> bool:
+        return self._is_far or state.follows in {0, self._session_here}
+
     def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
-        """Return whether it spoke lately, and follows this end or none."""
+        """Return whether it spoke lately, and may be followed."""
         state = self._states.get(session)
-        return bool(state and state.follows in self._followable) and now_s - self._heard_s[session] <= within_s
+        return state is not None and self._is_free(state) and now_s - self._heard_s[session] <= within_s

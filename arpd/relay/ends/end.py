@@ -87,7 +87,7 @@ class End:
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
-        self._partner, self._namespace = Partner(session), settings.namespace
+        self._partner, self._namespace = Partner(session, is_far=is_far), settings.namespace
         self._new_state = partial(
             EndState,
             session=session,
@@ -294,8 +294,7 @@ class End:
     def _summary(self, now_s: float) -> RelaySummary:
         here, there, fault = self._told, self._there, self._fault
         if there is NOBODY and (hosts := self._partner.elsewhere(now_s)):
-            what = f"the one on {', '.join(hosts)} serves another {'base computer' if self._is_far else 'robot'}"
-            fault = f"{what}; give each robot a relay.link_domain of its own"
+            fault = f"that of {', '.join(hosts)} serves another robot; give each robot a relay.link_domain of its own"
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,

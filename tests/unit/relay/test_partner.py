@@ -59,6 +59,9 @@ def test_an_end_that_serves_another_robot_is_not_followed():
     partner, busy = Partner(OWN), replace(ONE, follows=OWN + 1)
     partner.tell(busy, 0.0)
     assert in_force(partner, ONE, from_s=0.0, to_s=20.0) is None
+    far = Partner(OWN, is_far=True)
+    far.tell(busy, 0.0)
+    assert far.look(0.0) is busy  # the predecessor of this end, perhaps
     assert (partner.is_reachable(20.0), partner.elsewhere(20.0)) == (False, ["one"])
     partner.tell(free := replace(ONE, follows=0), 20.0)
     assert (partner.look(20.0), partner.elsewhere(20.0)) == (free, [])
