@@ -20,17 +20,17 @@ class Partner:
 
     A killed end returns as a new session. Two ends that run at the same time are two sessions that both speak: the
     first one stays in force, the other one is named. A robot's end does not follow one that follows another robot's: of
-    two robots in one link domain, the second would obey what is meant for the first. The base computer's end follows at
-    once, because after its restart the robot's follows its predecessor for a while.
+    two robots in one link domain, the second would obey what is meant for the first. An end that restarts follows at
+    once one that follows its predecessor, which was on this host.
 
     Parameters
     ----------
-    session : of this end
-    is_far : whether it is the base computer's
+    is_far : whether this end is the base computer's
+    host : how the GUIDs of this host begin, in hexadecimal digits
     """
 
-    def __init__(self, session: int, *, is_far: bool = False) -> None:
-        self._session_here, self._is_far = session, is_far
+    def __init__(self, *, is_far: bool = False, host: str = "") -> None:
+        self._is_far, self._host = is_far, host
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
@@ -76,7 +76,7 @@ class Partner:
         return sorted(state.host for state in speaking if is_meant(state))
 
     def _is_free(self, state: EndState) -> bool:
-        return self._is_far or state.follows in {0, self._session_here}
+        return self._is_far or not state.follows or state.follows.startswith(self._host)
 
     def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
         """Return whether it spoke lately, and may be followed."""

@@ -47,7 +47,7 @@ log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain
 _LINGER_S = 3.0  # an end that has just started wants nothing at first
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
-_PARTICIPANT = 24  # digits of a GUID that name its process
+_PARTICIPANT, _HOST = 24, 8  # digits of a GUID that name its process; its vendor and its host
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -87,14 +87,15 @@ class End:
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
-        self._partner, self._namespace = Partner(session, is_far=is_far), settings.namespace
+        link_gids = self._link_view.own.participant.hex()
+        self._partner, self._namespace = Partner(is_far=is_far, host=link_gids[:_HOST]), settings.namespace
         self._new_state = partial(
             EndState,
             session=session,
             host=platform.node(),
             arpd=__version__,
             namespace=self._namespace,
-            link_gids=self._link_view.own.participant.hex(),
+            link_gids=link_gids,
             local_gids=self._view.own.participant.hex(),
         )
         self._told = NOBODY  # this end's state, as the other one was told
@@ -257,7 +258,7 @@ class End:
             services=self._calls.offers,
             wants=self.incoming.wants,
             refused=self._refused,
-            follows=self._there.session,
+            follows=self._there.link_gids,
         )
         if state != self._told:
             self._told = state

@@ -101,7 +101,7 @@ class EndState:
     wants : topics of the other end that somebody reads here
     refused : topics of the other end that it does not carry, and the reason
     namespace : `relay.namespace` of its configuration, which tells one robot from another
-    follows : session of the other end that it follows, 0 = none
+    follows : ``link_gids`` of the other end that it follows, empty = none
     link_gids : first 12 bytes of the GUIDs of its endpoints on the link, in hexadecimal digits; empty = not told
     local_gids : the same of those in its local domain
     """
@@ -114,7 +114,7 @@ class EndState:
     wants: Annotated[frozenset[str], FailFast()] = frozenset()
     refused: _ByName[str] = field(default_factory=dict)
     namespace: str = ""
-    follows: Annotated[int, Field(ge=0, lt=WRAP)] = 0
+    follows: str = ""
     link_gids: str = ""
     local_gids: str = ""
 

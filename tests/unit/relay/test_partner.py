@@ -7,7 +7,7 @@ from arpd.relay.partner import Partner
 
 ONE, TWO = (EndState(session=number, host=host) for number, host in ((1, "one"), (2, "two")))
 
-OWN = 7
+HOST = "010f0001"
 
 
 def in_force(partner, *speaking, from_s, to_s):
@@ -23,7 +23,7 @@ def in_force(partner, *speaking, from_s, to_s):
 
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
     """The new session of a killed end is in force once the old one has missed a sign of life."""
-    partner = Partner(OWN)
+    partner = Partner(host=HOST)
     partner.tell(ONE, 0.0)
     assert in_force(partner, ONE, from_s=0.0, to_s=5.9) is ONE
     partner.tell(TWO, 6.0)
@@ -33,7 +33,7 @@ def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
 
 def test_of_two_ends_the_first_stays_and_the_other_is_named():
     """While both speak, the first one is in force; when it stops, the other one is."""
-    partner = Partner(OWN)
+    partner = Partner(host=HOST)
     partner.tell(ONE, 0.0)
     partner.look(0.0)
     partner.tell(TWO, 0.5)
@@ -45,7 +45,7 @@ def test_of_two_ends_the_first_stays_and_the_other_is_named():
 
 def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     """In an outage the end is unreachable but known; after half a minute it is gone, and may return without a word."""
-    partner = Partner(OWN)
+    partner = Partner(host=HOST)
     partner.tell(ONE, 0.0)
     partner.look(0.0)
     known = [(partner.look(now_s), partner.is_reachable(now_s)) for now_s in (3.0, 20.0, 31.0)]
@@ -56,12 +56,12 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
 
 def test_an_end_that_serves_another_robot_is_not_followed():
     """Of two robots in one link domain the second one follows the base computer's end only once the first has gone."""
-    partner, busy = Partner(OWN), replace(ONE, follows=OWN + 1)
+    partner, busy = Partner(host=HOST), replace(ONE, follows="010f0002" + 16 * "0")
     partner.tell(busy, 0.0)
     assert in_force(partner, ONE, from_s=0.0, to_s=20.0) is None
-    far = Partner(OWN, is_far=True)
+    far = Partner(is_far=True, host=HOST)
     far.tell(busy, 0.0)
-    assert far.look(0.0) is busy  # the predecessor of this end, perhaps
+    assert far.look(0.0) is busy  # the base computer may have a new address
     assert (partner.is_reachable(20.0), partner.elsewhere(20.0)) == (False, ["one"])
-    partner.tell(free := replace(ONE, follows=0), 20.0)
+    partner.tell(free := replace(ONE, follows=HOST + 16 * "0"), 20.0)
     assert (partner.look(20.0), partner.elsewhere(20.0)) == (free, [])
