@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from scripts.netns.namespaces import HostName
     from scripts.netns.simlink import SimLink
 
-
 log = logging.getLogger(__name__)
 
 

@@ -16,12 +16,12 @@ from tests.ros.world import DOMAIN, REPO, Ros, SkippingClock
 
 @pytest.fixture
 def environment(monkeypatch):
-    """Keep this process, and those that it starts, on this host."""
+    """Keep this process, and those that it starts, on this host, with the profile of users' nodes."""
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from arpd.ros.runtime import prepare_environment
+    from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment
 
-    prepare_environment()
+    prepare_environment(FASTDDS_PROFILE)
 
 
 @pytest.fixture

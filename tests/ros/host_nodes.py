@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 from test_msgs.srv import BasicTypes
 
-from arpd.ros.runtime import prepare_environment
+from arpd.ros.runtime import FASTDDS_PROFILE, prepare_environment
 
 PERIOD_S = 0.02
 DEEP = QoSProfile(depth=500)  # ten seconds of samples
@@ -59,7 +59,7 @@ def add(request, response):
     return response
 
 
-prepare_environment()
+prepare_environment(FASTDDS_PROFILE)
 rclpy.init()
 node = rclpy.create_node(f"{sys.argv[1]}_node")
 if sys.argv[1] == "robot":
