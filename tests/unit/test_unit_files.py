@@ -11,6 +11,7 @@ import pytest
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNITS = sorted(path.name for path in SYSTEMD.glob("*.service"))
 LAUNCHER = SYSTEMD / "arpd-launch"
+OF_ROBOTS = "arpd-peer.service", "arpd-relay-far.service"  # which several robots have each
 INSTALLED = "/usr/lib/arpd"
 
 
@@ -23,12 +24,11 @@ def settings(unit):
 def test_systemd_finds_nothing_to_complain_about(tmp_path):
     """systemd-analyze verify accepts all units, and those of the base computer for one of several robots."""
     shutil.copy(LAUNCHER, tmp_path)
-    units = []
-    for unit in UNITS:
-        text = (SYSTEMD / unit).read_text().replace(f"{INSTALLED}/", f"{tmp_path}/")
-        for name in (unit, unit.replace(".", "@.")) if "/%i/" in text else (unit,):
-            (tmp_path / name).write_text(text)
-            units.append(tmp_path / name.replace("@.", "@robot1."))
+    (tmp_path / "arpd-peer@.service.d").mkdir()
+    files = {unit: unit for unit in UNITS} | {unit.replace(".", "@."): unit for unit in OF_ROBOTS}
+    for name, file in {**files, "arpd-peer@.service.d/10.conf": "arpd-peer-of-robot.conf"}.items():
+        (tmp_path / name).write_text((SYSTEMD / file).read_text().replace(f"{INSTALLED}/", f"{tmp_path}/"))
+    units = [tmp_path / name.replace("@.", "@robot1.") for name in files]
     assert sum("@" in unit.name for unit in units) == 2
     checked = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
     assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
@@ -71,6 +71,14 @@ def test_each_unit_has_folders_and_an_enclave_of_its_own():
         assert f"Environment=ROS_LOG_DIR=%t/{name[0]} ROS_HOME=%t/{name[0]}" in text
     enclaves = [name for unit in UNITS for name in re.findall(r"ENCLAVE_OVERRIDE=(\S+)", (SYSTEMD / unit).read_text())]
     assert sorted(enclaves) == ["/arpd/peer", "/arpd/relay", "/arpd/relay_far", "/arpd/run"]
+
+
+def test_a_peer_needs_a_file_only_of_a_robot_that_it_names():
+    """A base computer without a configuration runs a peer; one of several robots reads its robot's."""
+    (named,) = re.findall("^ExecStart=(.+)$", (SYSTEMD / "arpd-peer-of-robot.conf").read_text(), re.MULTILINE)
+    plain = settings("arpd-peer.service")["ExecStart"]
+    assert "--config" not in plain
+    assert named.replace("--config /etc/arpd/%i/arpd.yaml ", "") == plain
 
 
 def test_notify_reload_sends_the_signal_once():
