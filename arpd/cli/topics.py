@@ -16,11 +16,12 @@ from arpd.cli.output import fitted, progress, show
 from arpd.host import interface as host
 from arpd.host.config.first_file import first_file
 from arpd.host.config.load import load_settings, local_domain
+from arpd.host.kernel import link_interface
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.kinds import address
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
-from arpd.model.settings import AUTO, RelaySettings, Settings
+from arpd.model.settings import RelaySettings, Settings
 from arpd.report.first_guess import first_guess
 from arpd.report.wording import count
 from arpd.ros.rmw import require_middleware
@@ -149,8 +150,7 @@ def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings)
     domains = (relay.link_domain, *_LINK_DOMAINS)
     robot, base, guessed_from = options.robot or relay.robot, options.base or relay.base, ""
     if robot is None:
-        wanted = settings.link.interface
-        interface = (host.likeliest_interface() if wanted == AUTO else wanted) or ""
+        interface = link_interface(settings.link.interface, None)
         robot = min(host.ipv4_addresses().get(interface, ()), default=None)
         guessed_from = interface if robot else ""
     link_domain = next(domain for domain in domains if domain is not None and domain != here)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from arpd.host.interface import SYS_NET, ipv4_addresses, likeliest_interface, read_number
 from arpd.model.errors import NotKnownError
+from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,6 +55,11 @@ def interface_towards(end: str | None) -> str | None:
     """
     is_address = end is not None and end.replace(".", "").isdecimal()
     return (interface_to(str(end)) if is_address else None) or likeliest_interface()
+
+
+def link_interface(configured: str, end: str | None) -> str:
+    """Return the configured interface of the link, or what ``auto`` means now; empty = none yet."""
+    return configured if configured != AUTO else interface_towards(end) or ""
 
 
 def is_own_address(address: str) -> bool:

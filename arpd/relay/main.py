@@ -20,9 +20,8 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
-from arpd.host.interface import likeliest_interface
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import interface_towards
+from arpd.host.kernel import link_interface
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
@@ -81,9 +80,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    link = AUTO if is_far else settings.link.interface  # the file names the robot's
-    auto = partial(interface_towards, settings.relay.robot) if is_far else likeliest_interface
-    addresses = Addresses(lambda: link if link != AUTO else auto() or "")
+    link = (AUTO, settings.relay.robot) if is_far else (settings.link.interface, None)  # the file names the robot's
+    addresses = Addresses(partial(link_interface, *link))
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
         parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later

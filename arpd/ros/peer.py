@@ -19,9 +19,9 @@ from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import interface_towards
+from arpd.host.kernel import interface_towards, link_interface
 from arpd.host.notify import Notifier, Watchdog
-from arpd.model.settings import AUTO, RelaySettings
+from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
@@ -153,14 +153,14 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     relay = RelaySettings()
     if config_path is not None:
         relay = load_settings(config_path, interfaces=None, local_domain=local_domain()).relay
-    link, choose = relay.link(is_far=True), partial(interface_towards, relay.robot)
+    link = relay.link(is_far=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    reader = InterfaceReader(interface, choose=choose)
+    reader = InterfaceReader(interface, choose=partial(interface_towards, relay.robot))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
-    addresses = Addresses(lambda: choose() or "" if interface == AUTO else interface)
+    addresses = Addresses(partial(link_interface, interface, relay.robot))
     with control_node("arpd_peer", link) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()

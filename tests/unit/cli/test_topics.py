@@ -11,6 +11,7 @@ import yaml
 
 from arpd.cli import options
 from arpd.host import interface as host
+from arpd.host import kernel
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
 from arpd.ros import runtime
 
@@ -37,7 +38,7 @@ def robot(monkeypatch, tmp_path):
         monkeypatch.setattr(module, "TopicSurvey", survey, raising=False)
         monkeypatch.setitem(sys.modules, module.__name__, module)
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
-        monkeypatch.setattr(host, "likeliest_interface", lambda: "wlan0")
+        monkeypatch.setattr(kernel, "likeliest_interface", lambda: "wlan0")
         monkeypatch.setattr(host, "ipv4_addresses", lambda: {"wlan0": frozenset({"10.0.0.7"})})
         monkeypatch.setattr(options, "DEFAULT_CONFIG", tmp_path / "installed.yaml")
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
