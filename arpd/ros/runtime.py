@@ -43,7 +43,7 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
         environment[PROFILE_VARIABLES[0]] = str(profile)
     if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
         environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
-    if profile != OWN_PROFILE:
+    if profile in {TWO_ENDED_PROFILE, DAEMON_PROFILE}:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
