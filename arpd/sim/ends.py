@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane
 from arpd.model.endpoints import WriterQos
-from arpd.model.plan import TopicPlan
 from arpd.model.wire import LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import Assembly, Record, pack, unpack, writer_key
 from arpd.relay.flight import SIGN_BYTES
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.model.endpoints import PublisherState
+    from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.relay.envelope import Chunk
     from arpd.sim.result import SimTopic, TopicResult
@@ -122,8 +122,7 @@ class SimulatedLinkTopic(SimulatedSource):
         writer = SimulatedWriter(end.socket, end.back, self, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
         self._key = writer_key(topic.name)
         self._lane = Lane(writer.publish, has_company=True)
-        self._plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=RCLPY_DEPTH)
-        self._price: Price | None = None
+        self._lane.plan = replace(self._lane.plan, depth=RCLPY_DEPTH)
         end.add(self._lane)
         end.take(self._key, self._deliver)
 
@@ -134,18 +133,16 @@ class SimulatedLinkTopic(SimulatedSource):
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
-        self._plan = plan
-        self._end.retune(self._lane, plan, self._price)
+        self._end.retune(self._lane, plan, self._lane.price)
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is heard."""
-        self._price = price
-        self._end.retune(self._lane, self._plan, price)
+        self._end.retune(self._lane, self._lane.plan, price)
 
     def state(self) -> PublisherState:
         """Return the state to announce."""
         flow = self._lane.state(self.timeline.now_s)
-        return self.told(replace(flow, blocked_s=self._end.held_s, depth=self._plan.depth))
+        return self.told(replace(flow, blocked_s=self._end.held_s))
 
     def result(self) -> TopicResult:
         """Return the result of the run."""
