@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,11 +26,11 @@ class Partner:
 
     Parameters
     ----------
-    is_far : whether this end is the base computer's
     host : how the GUIDs of this host begin, in hexadecimal digits
+    is_far : whether this end is the base computer's
     """
 
-    def __init__(self, *, is_far: bool = False, host: str = "") -> None:
+    def __init__(self, *, host: str, is_far: bool = False) -> None:
         self._is_far, self._host = is_far, host
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
@@ -51,7 +52,7 @@ class Partner:
         It may return, and says nothing new then, so its state is kept.
         """
         for session in [
-            each for each in self._states if each != self._session and now_s - self._heard_s[each] > _GONE_S
+            each for each in self._states if each != self._session and not self._is_heard(each, now_s, _GONE_S)
         ]:
             del self._states[session], self._heard_s[session]
         speaking = [each for each in self._states if self._spoke(each, now_s, REPLACED_S)]
@@ -72,13 +73,15 @@ class Partner:
         return self._hosts(now_s, lambda state: not self._is_free(state))
 
     def _hosts(self, now_s: float, is_meant: Callable[[EndState], bool]) -> list[str]:
-        speaking = (state for state in self._states.values() if now_s - self._heard_s[state.session] <= REPLACED_S)
+        speaking = (state for session, state in self._states.items() if self._is_heard(session, now_s, REPLACED_S))
         return sorted(state.host for state in speaking if is_meant(state))
 
     def _is_free(self, state: EndState) -> bool:
         return self._is_far or not state.follows or state.follows.startswith(self._host)
 
+    def _is_heard(self, session: int, now_s: float, within_s: float) -> bool:
+        return now_s - self._heard_s.get(session, -math.inf) <= within_s
+
     def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
         """Return whether it spoke lately, and may be followed."""
-        state = self._states.get(session)
-        return state is not None and self._is_free(state) and now_s - self._heard_s[session] <= within_s
+        return self._is_heard(session, now_s, within_s) and self._is_free(self._states[session])
