@@ -177,7 +177,7 @@ class Lane:
 
     @property
     def unbound_s(self) -> float:
-        """When it waits for no share of the link any more, because it has waited for a plan in vain (s)."""
+        """When its wait for a plan ends without one: it then needs no share of the link (s)."""
         return math.inf if self.plan.wire_bytes > 0.0 else self._begun_waiting_s + self._patience_s
 
     def retune(self, plan: TopicPlan, price: Price | None) -> None:

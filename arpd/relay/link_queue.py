@@ -290,7 +290,8 @@ class LinkQueue(PacedQueue):
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(lane, now_s)
         number, departed_us = self.flight.send(int(wire_bytes), now_s), int(now_s * 1e6) % WRAP
-        current.number = current.number if offset else number
+        if offset == 0:
+            current.number = number
         current.offset += len(part)
         chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
         return Part(encode_chunk(chunk), wire_bytes, packets)

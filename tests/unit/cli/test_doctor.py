@@ -96,7 +96,7 @@ def test_an_ill_computer_shows_what_to_do(doctor, computer):
 
 
 def test_what_the_daemon_finds_wrong_comes_first(doctor):
-    """Who is told that something is wrong asks the doctor next, on the base computer, too."""
+    """What the daemon finds wrong stands first, on the base computer, too."""
     silent = {
         "condition": "peer_lost",
         "severity": "error",
