@@ -76,7 +76,7 @@ class NodePublishers:
     Attributes
     ----------
     thread : writes the samples of all nodes of the participant, and serves their publishers
-    relay : summary to send along; None = this node is no end of a relay, or not the one that tells
+    relay : returns the summary to send along; None = this node is no end of a relay, or not the one that tells
     """
 
     topic_name = PUBLISHERS_TOPIC
@@ -86,7 +86,7 @@ class NodePublishers:
         self._name = node.get_fully_qualified_name()
         self._clock = clock
         self.thread = attached(node.context, WritingThread, lambda: _started(node, clock))
-        self.relay: RelaySummary | None = None
+        self.relay: Callable[[], RelaySummary] | None = None
         self._publishers: dict[str, Paced] = {}
         self._warned: set[str] = set()  # topics that make others wait
         self._has_left_out = False  # publishers that no snapshot has room for
@@ -188,7 +188,7 @@ class NodePublishers:
             left_out=len(left_out),
             answer=self._answer,
             lacks_profile=self._lacks_profile,
-            relay=self.relay,
+            relay=self.relay and self.relay(),
         )
         self._snapshots.publish(UInt8MultiArray(data=array("B", message)))
 

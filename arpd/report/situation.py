@@ -281,11 +281,11 @@ def who_confirmed(snapshot: Snapshot) -> str:
 
 
 def _effect(snapshot: Snapshot) -> str:
-    """Say whether a decision helped: it did when little queues and little is lost."""
+    """Say whether a decision helped: it did when little queues; a radio may lose packets all the same."""
     link = snapshot.link
     if without := _unmeasured(snapshot):
         return without
-    helps = link.queue_delay_s <= link.queue_allowance_s and (link.loss_ratio or 0.0) <= _LOSSY
+    helps = link.queue_delay_s <= link.queue_allowance_s
     return f"{'it helps' if helps else 'it does not help yet'}: {_queue_and_loss(snapshot)}"
 
 

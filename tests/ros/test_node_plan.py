@@ -1,11 +1,15 @@
 """A node takes plans from a daemon's messages, whole or not at all, with real rclpy."""
 
+from itertools import count
+
 import pytest
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.endpoint import node_publishers
+from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.plan import PlanAnswer, TopicPlan
+from arpd.model.relay import RelaySummary
 from tests.ros.world import TERMS, Announced, Plans
 
 A, B = "/a", "/b"
@@ -80,6 +84,14 @@ def test_nonsense_is_refused_with_a_reason(node, announced, send, eventually, ro
     )
     assert (answer.generation, answer.refused, answer.refusal[: len(reason)]) == (0, 3, reason)
     assert [publisher.plan for publisher in publishers] == before
+
+
+def test_what_a_relay_has_carried_is_counted_when_it_is_told(node, announced, eventually):
+    """Each snapshot asks the relay anew: an older count would look like traffic of others on the link."""
+    carried = count(1)
+    NodePublishers.of(node).relay = lambda: RelaySummary(link_bytes=next(carried))
+    eventually("two are told", lambda: len(announced.link_bytes) > 1)
+    assert announced.link_bytes[1] > announced.link_bytes[0]
 
 
 def test_publishers_beyond_what_a_node_may_tell_are_named(node, announced, eventually, monkeypatch, capfd):

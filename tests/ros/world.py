@@ -115,6 +115,7 @@ class Announced:
     """Hears the snapshots of all nodes, and puts them together as the daemon does; the node's owner spins it."""
 
     def __init__(self, node):
+        self.link_bytes = []  # as a relay has told them
         self._nodes = Nodes()
         self._lock = threading.Lock()
         qos = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -134,6 +135,8 @@ class Announced:
 
     def _on_snapshot(self, message):
         snapshot = decode_snapshot(bytes(message.data))
+        if snapshot.relay:
+            self.link_bytes.append(snapshot.relay.link_bytes)
         with self._lock:
             self._nodes.note(snapshot.node.encode(), snapshot, time.monotonic())
             self._nodes.see(EVERYBODY)

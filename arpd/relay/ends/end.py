@@ -8,6 +8,7 @@ import secrets
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ from arpd.relay.ends.link_topic import LinkTopic
 from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.envelope import WRAP
-from arpd.relay.partner import EVERY_S, Partner
+from arpd.relay.partner import Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, status_line, topics_of
 from arpd.ros.cdr import octets
@@ -100,7 +101,7 @@ class End:
         )
         self._told = NOBODY  # this end's state, as the other one was told
         self._begun_s = self._look_s = time.monotonic()
-        self._status, self._summary_s = "", 0.0  # as last told, and when the daemon's next summary is due
+        self._status = ""  # as last told
         role, other = ("base", "robot") if is_far else ("robot", "base")
         states, small, signs, calls = (
             Outlet(
@@ -286,9 +287,10 @@ class End:
         is_news, self._status = status != self._status, status
         if is_news:
             self._on_change(status)
-        if not self._is_far and (is_news or now_s >= self._summary_s):
-            self._summary_s, told = now_s + EVERY_S, NodePublishers.of(self._link_node)
-            told.relay = relay
+        if not self._is_far:
+            told, queue = NodePublishers.of(self._link_node), self.link.queue
+            # Counted when it is told: the daemon compares it with what the interface carried until then.
+            told.relay = lambda: replace(relay, link_bytes=queue.link_bytes)
             if is_news:
                 told.hurry()
 
@@ -304,7 +306,6 @@ class End:
             to_base=topics_of(robot, base),
             to_robot=topics_of(base, robot),
             **self.incoming.samples,
-            link_bytes=self.link.queue.link_bytes,
             incomplete=self._incomplete,
             calls_failed=dict(self._calls.failures),
             strangers=tuple(self._others),

@@ -34,6 +34,8 @@ def test_the_verdict_answers_the_four_questions():
         assert number in verdict.text
     queueing = judge(changed(link={"queue_delay_s": 0.3, "loss_ratio": 0.05})).verdict
     assert all(words in queueing.text for words in ("does not help yet", "300 ms", "5 %"))
+    lossy = judge(changed(link={"queue_delay_s": 0.0, "loss_ratio": 0.05})).verdict
+    assert "it helps: no queue and 5 % loss" in lossy.text
 
 
 @pytest.mark.parametrize(
