@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from functools import partial
 from shlex import quote
@@ -35,6 +36,10 @@ _ENOUGH_BUFFER_BYTES = 2 * 2**20  # 20 ms of a link that carries 100 MB/s
 _FEW_LOST, _LITTLE_LOST, _LITTLE_INCOMPLETE = 10, 1e-4, 0.01
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 _FOR_ARPD = "echo {} | sudo tee -a /etc/default/arpd && sudo systemctl restart 'arpd*'"
+# As `status_line` of the relay and `ProbeStatus` of the peer have it, and a far end that has nothing to do.
+_HEARS_ITS_ROBOT = re.compile(
+    r"\d+ of \d+ topics cross to the robot, \d+ of \d+ to the base computer$|.*; probes arrive since|nothing to do"
+)
 _KEEP_THE_CLOCK = (
     "sudo apt install chrony   # on both computers",
     *(
@@ -331,17 +336,35 @@ def units(here: Here) -> Finding:
     return fine(listed(well, most=4) if well else "no unit of arpd is enabled")
 
 
+def robots(here: Here) -> Finding:
+    """Judge whether the far ends and peers of a base computer hear their robots, by what they say of themselves."""
+    running = {
+        name: unit.says
+        for name, unit in (here.units or {}).items()
+        if unit.active == "active" and unit.says and name.startswith(("arpd-relay-far", "arpd-peer"))
+    }
+    silent: dict[str, str] = {}  # one sentence for each robot: its relay knows more than its peer
+    for name, says in sorted(running.items(), reverse=True):
+        if not _HEARS_ITS_ROBOT.match(says):
+            silent.setdefault(name.partition("@")[2], f"{name}: {says}")
+    if silent:
+        return wrong("; ".join(sorted(silent.values())), "systemctl status arpd arpd-relay   # on that robot")
+    return fine(f"{listed(sorted(running), most=4)} hear their robots" if running else "no robot is served from here")
+
+
 def configuration(here: Here) -> Finding:
     """Judge the configuration by its faults."""
-    if (faults := here.faults) is None:
-        raise NotKnownError(f"there is no {here.config_path}, or this user may not read it")
-    if not faults:
-        return fine(f"{here.config_path} is valid")
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return wrong(f"{faults[0]}{more}", f"arpd check {'--far ' if here.is_far else ''}{quote(str(here.config_path))}")
+    known = {str(path): faults for path, faults in here.faults.items() if faults is not None}
+    if faults := [fault for each in known.values() for fault in each]:
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        check = f"arpd check {'--far ' if here.is_far else ''}"
+        return wrong(f"{faults[0]}{more}", *(f"{check}{quote(path)}" for path, each in known.items() if each))
+    if unread := [str(path) for path, faults in here.faults.items() if faults is None]:
+        raise NotKnownError(f"there is no {listed(unread)}, or this user may not read it")
+    return fine(f"{listed(sorted(known))} {'is' if len(known) == 1 else 'are'} valid")
 
 
 CHECKS = (
     *(daemon, clock, power_save, signal, region, mtu, discovery, transports, receive_buffers, fragments),
-    *(profile, rmw, versions, units, configuration),
+    *(profile, rmw, versions, units, robots, configuration),
 )

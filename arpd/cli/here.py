@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from arpd.cli.client import connect
-from arpd.cli.options import DEFAULT_URL, Address, config_of
+from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
 from arpd.host.interface import index_of, likeliest_interface, list_interfaces
 from arpd.host.kernel import interface_to
-from arpd.host.services import service_states
+from arpd.host.services import OF_ARPD, service_states, used_on_base
 from arpd.model.errors import ArpdError, ConfigError, NoAnswerError, NotKnownError, UsageError
 from arpd.model.quantities import printable
 from arpd.model.settings import AUTO, Settings
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from arpd.web.api import Status
 
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
-_UNITS = ("arpd", "arpd-relay", "arpd-peer", "arpd-relay-far")
-_UNITS_OF_BASE = {"arpd-peer", "arpd-relay-far"}
 
 
 class Here:
@@ -40,12 +38,13 @@ class Here:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options, self._is_remote = options, not options.url.is_here
-        self.config_path: Path = options.config
-        states = service_states(*_UNITS)
+        states = service_states(*OF_ARPD)
         self.units = {name: unit for name, unit in states.items() if unit.is_installed} if states else None
-        used = {name for name, unit in states.items() if unit.is_enabled or unit.active != "inactive"}
-        self.is_far = options.far or self._is_remote or (bool(used) and used <= _UNITS_OF_BASE)
-        self.settings, self.faults = self._configuration()
+        self.is_far = options.far or self._is_remote or bool(used_on_base(states))
+        self.settings = Settings()
+        #: Of each file; None where it is missing, or this user may not read it.
+        self.faults: dict[Path, list[str] | None] = {}
+        self._read_configuration()
         self.told = self._ask()
         if options.interface and index_of(options.interface) is None:
             there = ", ".join(sorted(list_interfaces() or ()))
@@ -77,18 +76,30 @@ class Here:
             raise NotKnownError("ROS_DOMAIN_ID is no number")
         return listen(self.interface, domain_id, duration_s=self._options.listen)
 
-    def _configuration(self) -> tuple[Settings, list[str] | None]:
-        """Return the settings, and the faults of their file, None where it cannot be read; raise where it is a typo."""
-        is_there = os.access(self.config_path, os.F_OK)
-        if config_of(self._options) is None or (is_there and not os.access(self.config_path, os.R_OK)):
-            return Settings(), None
+    def config_of(self, name: str) -> Path:
+        """Return the file that a unit reads; of one with the name of a robot, that robot's."""
+        return DEFAULT_CONFIG.parent / name.partition("@")[2] / DEFAULT_CONFIG.name
+
+    def _read_configuration(self) -> None:
+        """Read the file of the command line, else those of the units in use; raise where the former is a typo."""
+        named, used = self._options.config, {name for name, unit in (self.units or {}).items() if unit.is_used}
+        paths = {named} if named is not DEFAULT_CONFIG else {self.config_of(name) for name in used} or {DEFAULT_CONFIG}
+        for path in sorted(paths, reverse=True):  # the settings stay those of the first
+            self.faults[path] = self._faults_of(path)
+
+    def _faults_of(self, path: Path) -> list[str] | None:
+        """Return the faults of a file and keep the settings of one without; None where it cannot be judged."""
+        is_there = os.access(path, os.F_OK)
+        if (path == DEFAULT_CONFIG and not is_there) or (is_there and not os.access(path, os.R_OK)):
+            return None
         interfaces = None if self.is_far else list_interfaces
         try:
-            return load_settings(self.config_path, interfaces=interfaces, local_domain=local_domain()), []
+            self.settings = load_settings(path, interfaces=interfaces, local_domain=local_domain())
         except ConfigError as error:
-            if not is_there:
+            if not is_there and path == self._options.config:
                 raise
-            return Settings(), error.faults
+            return error.faults
+        return []
 
     def _ask(self) -> Status | NotKnownError:
         if self.is_far and not self._is_remote:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from arpd.cli.options import read_address
 from arpd.host import services
+from arpd.report.wording import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from arpd.host.services import ServiceState
     from arpd.model.errors import NoAnswerError
 
-_ROBOT, _OTHER_END = "arpd", "arpd-peer"
+_ROBOT = "arpd"
 _ENDED = {"inactive", "deactivating", ""}
 _JOURNAL = "see journalctl -u arpd"
 _CAUSES = {
@@ -27,7 +28,7 @@ def step_after(error: NoAnswerError) -> str:
     """Return the next step where nobody answers at an address of this computer; empty elsewhere."""
     if not read_address(error.url).is_here:
         return ""
-    return next_step(services.service_states(_ROBOT, _OTHER_END), is_late=error.is_late)
+    return next_step(services.service_states(*services.OF_ARPD), is_late=error.is_late)
 
 
 def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> str:
@@ -37,13 +38,12 @@ def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> st
     ----------
     is_late : whether somebody listens, and has not answered in time
     """
-    robot, other_end = units.get(_ROBOT), units.get(_OTHER_END)
-    if robot is None:
+    if (robot := units.get(_ROBOT)) is None:
         return ""
     if robot.active not in _ENDED:
         return _of_running(robot, is_late=is_late)
-    if other_end is not None and other_end.active == "active":
-        return "arpd-peer runs here, so this is the other end of the link: run arpd status on the robot"
+    if used := services.used_on_base(units):
+        return f"this is the other end of the link, with {listed(used, most=4)}: run arpd status on the robot"
     if not robot.is_installed:
         return "there is no arpd.service here: install arpd, or start it by hand: arpd run --config FILE"
     return f"arpd.service is not started: sudo systemctl {'start' if robot.is_enabled else 'enable --now'} arpd"

@@ -1,4 +1,4 @@
-"""Asks systemd for the state of services."""
+"""Asks systemd for the state of services, arpd's among them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+#: arpd's own; a base computer of several robots has a peer and a far end of each robot's name.
+OF_ARPD = ("arpd", "arpd-relay", "arpd-relay-far", "arpd-relay-far@*", "arpd-peer", "arpd-peer@*")
+_OF_BASE = {"arpd-relay-far", "arpd-peer"}
 _TIMEOUT_S = 2.0
-_PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,Result,ExecMainCode,ExecMainStatus"
+_PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,StatusText,Result,ExecMainCode,ExecMainStatus"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,6 +28,7 @@ class ServiceState:
     sub : the finer state, ``auto-restart`` between two attempts
     result : reason of the last end, ``success`` where nothing went wrong
     exit_code : exit code of the last main process, None where a signal ended it or none has ended
+    says : what the service says of itself, empty where it does not run
     """
 
     is_installed: bool
@@ -33,6 +37,12 @@ class ServiceState:
     sub: str = ""
     result: str = ""
     exit_code: int | None = None
+    says: str = ""
+
+    @property
+    def is_used(self) -> bool:
+        """Whether it starts at boot, or somebody started it."""
+        return self.is_enabled or self.active != "inactive"
 
 
 def ask_systemctl(arguments: Sequence[str]) -> str:
@@ -51,13 +61,22 @@ def ask_systemctl(arguments: Sequence[str]) -> str:
 
 
 def service_states(*names: str, ask: Callable[[Sequence[str]], str] = ask_systemctl) -> dict[str, ServiceState]:
-    """Return the states of services by name, without ``.service``; empty where systemd does not tell."""
+    """Return the states of services by name, without ``.service``; empty where systemd does not tell.
+
+    A name with a star stands for all such services that run, failed or are enabled.
+    """
     found = {}
-    for block in ask(["show", f"--property={_PROPERTIES}", *names]).split("\n\n"):
+    for block in ask(["show", "--all", f"--property={_PROPERTIES}", *names]).split("\n\n"):
         properties = dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
         if name := properties.get("Id", "").removesuffix(".service"):
             found[name] = _state_of(properties)
     return found
+
+
+def used_on_base(units: Mapping[str, ServiceState]) -> list[str]:
+    """Return arpd's services in use if all are those of a base computer; empty elsewhere."""
+    used = sorted(name for name, unit in units.items() if unit.is_used)
+    return used if {name.partition("@")[0] for name in used} <= _OF_BASE else []
 
 
 def _state_of(properties: dict[str, str]) -> ServiceState:
@@ -70,4 +89,5 @@ def _state_of(properties: dict[str, str]) -> ServiceState:
         sub=properties.get("SubState", ""),
         result=properties.get("Result", ""),
         exit_code=int(code) if has_exited and code.isdecimal() else None,
+        says=properties.get("StatusText", ""),
     )

@@ -84,7 +84,7 @@ class End:
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
         self._there = NOBODY  # the other end's state that this end follows
-        self._fault = ""  # of the other end's messages
+        self._fault = self._logged = ""  # of the other end's messages; the last one of the other end in the log
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
@@ -204,13 +204,11 @@ class End:
             if isinstance(arrived, int):
                 self._partner.hear(arrived, now_s)
                 continue
-            before, self._fault = self._fault, ""
+            self._fault = ""
             try:
                 self._partner.tell(decode_state(octets(arrived), namespace=self._namespace), now_s)
             except ValueError as fault:
                 self._fault = str(fault)
-            if self._fault not in {"", before}:
-                log.error("the other end: %s", self._fault)
 
     def _follow(self, state: EndState) -> None:
         """Do what the newest state of the other end asks."""
@@ -277,6 +275,9 @@ class End:
 
     def _report(self, now_s: float) -> None:
         relay = self._summary(now_s)
+        if relay.fault not in {"", self._logged}:
+            self._logged = relay.fault
+            log.error("the other end cannot be used: %s", relay.fault)
         status = status_line(
             relay,
             is_far=self._is_far,

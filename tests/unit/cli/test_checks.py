@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace as Namespace
 
 import pytest
@@ -12,6 +13,8 @@ from arpd.host.discovery import Announcer, HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
 from arpd.model.probing import ClockOffset
+from arpd.model.relay import RelaySummary, RelayTopics
+from arpd.relay.status import status_line
 
 
 def health(check, *arguments, **options):
@@ -79,6 +82,52 @@ def unit(active, **fields):
 def test_only_what_surely_harms_is_wrong(check, here, expected):
     """What may be either, or is not told, is not known."""
     assert health(check, here) == expected
+
+
+def ends(**lines):
+    """Return a base computer whose far ends say these lines."""
+    return Namespace(
+        units={f"arpd-relay-far@{robot}": unit("active", says=says).units["arpd"] for robot, says in lines.items()}
+    )
+
+
+SERVED = RelaySummary(is_reachable=True, to_base=RelayTopics(offered=3, wanted=2))
+
+
+def far_line(relay, **about):
+    return status_line(relay, is_far=True, **{"is_met": True, "is_shared": False, "second_ends": (), **about})
+
+
+@pytest.mark.parametrize(
+    ("line", "health"),
+    [
+        (far_line(SERVED), "fine"),
+        ("nothing to do: relay.link_domain is not set in /etc/arpd/arpd.yaml", "fine"),
+        ("", "fine"),
+        (far_line(SERVED, is_met=False), "wrong"),
+        (far_line(SERVED, is_shared=True), "wrong"),
+        (far_line(SERVED, second_ends=("robot2",)), "wrong"),
+        (far_line(replace(SERVED, is_reachable=False)), "wrong"),
+        (far_line(replace(SERVED, fault="it is of arpd 0.0.9")), "wrong"),
+        (far_line(replace(SERVED, to_base=RelayTopics(offered=3, wanted=2, refused={"/a": "two types"}))), "wrong"),
+    ],
+)
+def test_each_robot_of_a_base_computer_is_judged_by_what_its_far_end_says(line, health):
+    """One that hears its robot and carries all is fine; what another one says is the finding."""
+    judged = checks.robots(ends(robot1=far_line(SERVED), robot2=line))
+    assert judged.health == health
+    assert ("arpd-relay-far@robot2: " + line in judged.text) == (health == "wrong")
+    assert "robot1: " not in judged.text
+
+
+def test_a_robot_that_is_not_there_is_named_once():
+    """Its relay says more than its peer does; without a relay the peer's line stands."""
+    lines = []
+    pytest.importorskip("arpd.ros.peer", exc_type=ImportError).ProbeStatus("reporting", tell=lines.append)
+    peer = unit("active", says=lines[0]).units["arpd"]
+    relay = unit("active", says=far_line(SERVED, is_met=False)).units["arpd"]
+    told = checks.robots(Namespace(units={"arpd-peer@a": peer, "arpd-relay-far@a": relay, "arpd-peer@b": peer})).text
+    assert ("arpd-peer@a: " in told, "arpd-relay-far@a: " in told, "arpd-peer@b: " in told) == (False, True, True)
 
 
 @pytest.mark.parametrize(

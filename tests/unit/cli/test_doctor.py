@@ -7,7 +7,7 @@ import json
 import pytest
 
 from arpd import __version__
-from arpd.cli import checks, here
+from arpd.cli import checks, here, options
 from arpd.host.discovery import HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
@@ -67,7 +67,7 @@ def healths(out):
 def test_what_is_well_is_only_counted(doctor):
     """The exit code is 0, with --json too."""
     code, out, err = doctor(offset_s=0.0)
-    assert (code, out, err) == (0, "15 checks fine\n", "")
+    assert (code, out, err) == (0, "16 checks fine\n", "")
     code, out, _ = doctor("--json", offset_s=0.0)
     assert (code, json.loads(out)["ok"], set(healths(out).values())) == (0, True, {"fine"})
 
@@ -90,7 +90,7 @@ def test_an_ill_computer_shows_what_to_do(doctor, computer):
         *(["wrong", about] for about in ("clock", "power save", "mtu", "profile", "units")),
         ["not known", "region"],
     ]
-    assert shown[-1] == "5 things to do, 9 checks fine, 1 not known"
+    assert shown[-1] == "5 things to do, 10 checks fine, 1 not known"
     for number in ("1.5 s behind", "1280", "    sudo apt install chrony", "    sudo iw dev wlan0 set power_save off"):
         assert number in out
 
@@ -114,6 +114,10 @@ def test_what_the_daemon_finds_wrong_comes_first(doctor):
         ({"arpd-peer": ACTIVE, "arpd-relay-far": FAILED, "arpd": DISABLED}, "base"),
         ({"arpd": ACTIVE, "arpd-peer": ACTIVE}, "robot"),
         ({"arpd": ABSENT, "arpd-peer": ACTIVE}, "base"),
+        (
+            {"arpd": DISABLED, "arpd-peer": DISABLED, "arpd-peer@robot1": ACTIVE, "arpd-relay-far@robot2": FAILED},
+            "base",
+        ),
         ({}, "robot"),
     ],
 )
@@ -123,6 +127,25 @@ def test_the_units_in_use_tell_the_end(doctor, computer, units, end):
     _, out, _ = doctor("--json", text="link: {interface: of_the_robot0}\n")
     assert json.loads(out)["end"] == end
     assert healths(out)["configuration"] == ("fine" if end == "base" else "wrong")
+
+
+def test_the_file_of_each_robot_is_judged(run, computer, tmp_path):
+    """A base computer of several robots has a file for each; a broken one is named, with the line that checks it."""
+    units = {"arpd": DISABLED, "arpd-peer": DISABLED} | {f"arpd-peer@robot{n}": ACTIVE for n in (1, 2, 3)}
+    units["arpd-relay-far@robot4"] = DISABLED
+    installed = tmp_path / "arpd.yaml"
+    computer(here, service_states=lambda *_: units, DEFAULT_CONFIG=installed)
+    computer(options, DEFAULT_CONFIG=installed)
+    for robot, text in {"robot1": SMALL, "robot2": "relay: {link_domain: 300}\n", "robot3": SMALL}.items():
+        (tmp_path / robot).mkdir()
+        (tmp_path / robot / "arpd.yaml").write_text(text)
+    _, out, _ = run("doctor", "--json")
+    (told,) = (each for each in json.loads(out)["checks"] if each["check"] == "configuration")
+    assert told["text"].startswith(f"{tmp_path}/robot2/arpd.yaml:1:22: relay.link_domain: ")
+    assert told["remedies"] == [f"arpd check --far {tmp_path}/robot2/arpd.yaml"]
+    (tmp_path / "robot2/arpd.yaml").write_text(SMALL)
+    assert "robot1/arpd.yaml" in (told := run("doctor", "--json")[1])
+    assert "arpd.yaml are valid" in told
 
 
 def test_a_daemon_without_a_port_is_not_known(run, config):

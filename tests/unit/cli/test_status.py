@@ -92,14 +92,14 @@ STOPPED = unit("inactive", is_enabled=False)
         (unit("failed", result="watchdog"), "inactive", "watchdog"),
         (unit("inactive"), "inactive", "systemctl start arpd"),
         (STOPPED, "inactive", "systemctl enable --now arpd"),
-        (STOPPED, "active", "on the robot"),
+        (STOPPED, "active", "with arpd-peer@robot1: run arpd status on the robot"),
         (unit("inactive", is_enabled=False, is_installed=False), "inactive", "arpd run --config"),
     ],
 )
 def test_it_exits_3_when_nothing_answers_and_says_why(run, monkeypatch, robot, other_end, said):
     """On this computer the units tell the next step; a proxy in the environment does not matter."""
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
-    units = {"arpd": robot, "arpd-peer": unit(other_end)}
+    units = {"arpd": robot, "arpd-peer@robot1": unit(other_end, is_enabled=False)}
     monkeypatch.setattr("arpd.host.services.service_states", lambda *_names: units)
     with serving("{}") as url:
         pass

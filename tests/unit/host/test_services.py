@@ -14,15 +14,17 @@ Id=arpd.service
 LoadState=loaded
 ActiveState=failed
 SubState=failed
+StatusText=
 UnitFileState=enabled
 
 ExecMainCode=2
 ExecMainStatus=9
 Result=signal
-Id=arpd-peer.service
+Id=arpd-peer@robot1.service
 LoadState=not-found
 ActiveState=inactive
 SubState=dead
+StatusText=no probes; a=b
 UnitFileState=
 """
 
@@ -31,15 +33,23 @@ def test_each_unit_has_its_state():
     """An exit code counts only where the process exited; a number of a signal is none."""
 
     def ask(arguments):
-        assert arguments[-2:] == ["arpd", "arpd-peer"]
+        # Without --all a star stands for none that is inactive.
+        assert (arguments[1], arguments[-2:]) == ("--all", ["arpd", "arpd-peer@*"])
         return SHOWN
 
-    states = service_states("arpd", "arpd-peer", ask=ask)
+    states = service_states("arpd", "arpd-peer@*", ask=ask)
     assert states == {
         "arpd": ServiceState(
             is_installed=True, is_enabled=True, active="failed", sub="failed", result="exit-code", exit_code=78
         ),
-        "arpd-peer": ServiceState(is_installed=False, is_enabled=False, active="inactive", sub="dead", result="signal"),
+        "arpd-peer@robot1": ServiceState(
+            is_installed=False,
+            is_enabled=False,
+            active="inactive",
+            sub="dead",
+            result="signal",
+            says="no probes; a=b",
+        ),
     }
 
 
