@@ -35,6 +35,7 @@ from arpd.ros.runtime import (
     ros_node,
     serve_until,
     stop_on_signals,
+    write_for_this_host,
 )
 
 if TYPE_CHECKING:
@@ -96,11 +97,13 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     if relay.link_domain is not None:
         prepare_environment(TWO_ENDED_PROFILE)
         return_large_blocks()
-        with ros_node(name) as node, ros_node(name, relay.link(is_far=is_far)) as link_node:
-            check_middleware(current_rmw())
-            check_deaf_to_itself(node)
-            with closing(End(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end:
-                serve(end.tick, _TICK_S, end.threads)
+        with ros_node(name, relay.link(is_far=is_far)) as link_node:
+            write_for_this_host()
+            with ros_node(name) as node:
+                check_middleware(current_rmw())
+                check_deaf_to_itself(node)
+                with closing(End(node, link_node, relay, is_far=is_far, on_change=notifier.status)) as end:
+                    serve(end.tick, _TICK_S, end.threads)
     elif is_far or not relay.topics:
         lacking = "relay.link_domain is not" if is_far else "neither relay.link_domain nor relay.topics is"
         log.info(reason := f"nothing to do: {lacking} set in {config_path}")

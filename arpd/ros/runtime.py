@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
 import os
 import signal
 import socket
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from arpd.model.wire import MOST_DOMAIN
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator, MutableMapping
+    from collections.abc import Callable, Iterator, Mapping, MutableMapping
 
     from arpd.host.addresses import Addresses
     from arpd.host.notify import Watchdog
@@ -32,6 +33,8 @@ _SERVER = "ROS_DISCOVERY_SERVER"
 OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
+_GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
+_LOAD_PROFILE = "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager13loadXMLStringEPKcm"
 
 
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
@@ -46,6 +49,21 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
     if profile in {TWO_ENDED_PROFILE, DAEMON_PROFILE}:
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def write_for_this_host(environment: Mapping[str, str] = os.environ) -> None:
+    """Give the writers of participants that are made from now on a profile for readers on this host alone.
+
+    Fast DDS loads a file of profiles once in a process, and each participant takes the default of its writers when it
+    is made. Where the user has chosen another profile, readers may be on other hosts, or Fast DDS has no such function,
+    writers keep the profile of the process: it loses nothing either, and costs more.
+    """
+    is_ours = environment.get(PROFILE_VARIABLES[0]) == str(TWO_ENDED_PROFILE)
+    if is_ours and environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
+        with suppress(OSError, AttributeError):
+            load = ctypes.CDLL("librmw_fastrtps_cpp.so")[_LOAD_PROFILE]
+            profile = _GHOSTS_PROFILE.read_bytes()
+            load(profile, ctypes.c_size_t(len(profile)))
 
 
 def _is_ours(path: Path) -> bool:
