@@ -77,7 +77,7 @@ class Daemon:
         document = self._answer("/api/v1/status")
         if not isinstance(document, dict) or "api_version" not in document:
             raise DaemonUnreachableError(
-                f"what answers at {self.url} is not arpd; name the daemon's address with --url"
+                f"what answers at {self.url} is not arpd; stop it (sudo ss -ltnp), or name the daemon with --url"
             )
         return document
 

@@ -83,20 +83,19 @@ class Here:
     def _read_configuration(self) -> None:
         """Read the file of the command line, else those of the units in use; raise where the former is a typo."""
         named, used = self._options.config, {name for name, unit in (self.units or {}).items() if unit.is_used}
-        paths = {named} if named is not DEFAULT_CONFIG else {self.config_of(name) for name in used} or {DEFAULT_CONFIG}
+        needed = {self.config_of(name) for name in used - {"arpd-peer"}}  # which may have none
+        paths = {named} if named is not DEFAULT_CONFIG else needed or {DEFAULT_CONFIG}
         for path in sorted(paths, reverse=True):  # the settings stay those of the first
-            self.faults[path] = self._faults_of(path)
+            is_missed = not os.access(path, os.F_OK) and (path in needed or path != DEFAULT_CONFIG)
+            self.faults[path] = self._faults_of(path) if is_missed or os.access(path, os.R_OK) else None
 
-    def _faults_of(self, path: Path) -> list[str] | None:
-        """Return the faults of a file and keep the settings of one without; None where it cannot be judged."""
-        is_there = os.access(path, os.F_OK)
-        if (path == DEFAULT_CONFIG and not is_there) or (is_there and not os.access(path, os.R_OK)):
-            return None
+    def _faults_of(self, path: Path) -> list[str]:
+        """Return the faults of a file, and keep the settings of one without; raise where its name is a typo."""
         interfaces = None if self.is_far else list_interfaces
         try:
             self.settings = load_settings(path, interfaces=interfaces, local_domain=local_domain())
         except ConfigError as error:
-            if not is_there and path == self._options.config:
+            if path is self._options.config and not path.exists():
                 raise
             return error.faults
         return []

@@ -20,7 +20,7 @@ _JOURNAL = "see journalctl -u arpd"
 _CAUSES = {
     2: "its command line is wrong: see systemctl cat arpd",
     69: f"ROS cannot be used: {_JOURNAL}",
-    78: "its configuration is wrong: arpd check names every fault",
+    78: f"its configuration is wrong: arpd check names every fault, or, what only its user meets, {_JOURNAL}",
 }
 
 

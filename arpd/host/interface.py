@@ -16,7 +16,7 @@ from arpd.model.observation import MemoryState
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 log = logging.getLogger(__name__)
 SYS_NET = Path("/sys/class/net")
@@ -103,13 +103,15 @@ class InterfaceReader:
     """Reads one interface repeatedly and logs each change of its state once.
 
     An interface that returns under its name continues the old totals. It may appear late: the reader chooses again for
-    ``auto`` until the chosen interface has been up once.
+    ``auto`` until the chosen interface has been up once. When that is gone, ``auto`` means the one that has its address
+    now: it was renamed, or replaced.
 
     Parameters
     ----------
     name : the interface, as configured
     read : the kernel's answer
     choose : returns the interface that ``auto`` means now, None = none yet
+    addresses : returns the addresses of every interface
     note : called with a logging level and a text at every change of state
 
     Attributes
@@ -123,13 +125,16 @@ class InterfaceReader:
         *,
         read: Callable[[str], LinkCounters | None] = read_counters,
         choose: Callable[[], str | None] = likeliest_interface,
+        addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
         note: Callable[[int, str], None] = log.log,
     ) -> None:
         self.name = name
         self._read = read
         self._choose = choose
         self._note = note
-        self._may_choose = name == AUTO
+        self._may_choose = self._is_auto = name == AUTO
+        self._addresses = addresses
+        self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
         self._raw: LinkCounters | None = None
         self._total: LinkCounters | None = None
         self._state: InterfaceState | None = None
@@ -140,7 +145,14 @@ class InterfaceReader:
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name = chosen
             self._raw = self._total = self._state = None
-        if (raw := self._read(self.name)) is not None:
+            self._own = frozenset()
+        if (raw := self._read(self.name)) is None and self._own:
+            if heir := next((name for name, addresses in self._addresses().items() if addresses & self._own), None):
+                log.info("link.interface is auto: %s has the address of %s, so arpd uses it", heir, self.name)
+                self.name, raw = heir, self._read(heir)
+        elif raw is not None and self._is_auto and not self._own:
+            self._own = self._addresses().get(self.name, frozenset())
+        if raw is not None:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = _continued(self._total or raw, self._raw or raw, raw)
             self._may_choose = self._may_choose and not raw.is_up

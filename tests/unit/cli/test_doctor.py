@@ -143,9 +143,20 @@ def test_the_file_of_each_robot_is_judged(run, computer, tmp_path):
     (told,) = (each for each in json.loads(out)["checks"] if each["check"] == "configuration")
     assert told["text"].startswith(f"{tmp_path}/robot2/arpd.yaml:1:22: relay.link_domain: ")
     assert told["remedies"] == [f"arpd check --far {tmp_path}/robot2/arpd.yaml"]
+    (tmp_path / "robot2/arpd.yaml").unlink()
+    assert f"{tmp_path}/robot2/arpd.yaml:1:1: file: cannot be read" in run("doctor", "--json")[1]
     (tmp_path / "robot2/arpd.yaml").write_text(SMALL)
     assert "robot1/arpd.yaml" in (told := run("doctor", "--json")[1])
     assert "arpd.yaml are valid" in told
+
+
+@pytest.mark.parametrize(("unit", "health"), [("arpd", "wrong"), ("arpd-peer", "unknown")])
+def test_a_missing_file_is_wrong_where_a_unit_needs_it(run, computer, tmp_path, unit, health):
+    """Only a peer without a name does without; a file that is named with --config is a typo, see below."""
+    installed = tmp_path / "arpd.yaml"
+    computer(here, service_states=lambda *_: {unit: FAILED}, DEFAULT_CONFIG=installed)
+    computer(options, DEFAULT_CONFIG=installed)
+    assert healths(run("doctor", "--json")[1])["configuration"] == health
 
 
 def test_a_daemon_without_a_port_is_not_known(run, config):

@@ -53,8 +53,8 @@ class Kernel:
             interface=name, rx_bytes=rx[0], rx_packets=rx[1], tx_bytes=0, tx_packets=0, tx_dropped=dropped, state=state
         )
 
-    def reader(self, name, choose=lambda: None):
-        return interface.InterfaceReader(name, read=self.interfaces.get, choose=choose)
+    def reader(self, name, choose=lambda: None, addresses=dict):
+        return interface.InterfaceReader(name, read=self.interfaces.get, choose=choose, addresses=addresses)
 
 
 @pytest.fixture
@@ -110,6 +110,27 @@ def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
     kernel.put("wlan0", state=InterfaceState.NO_CARRIER, rx=(600, 6))
     assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
     assert len(caplog.records) == 5
+
+
+@pytest.mark.parametrize(("configured", "followed"), [("auto", "wlan1"), ("wlan0", "wlan0")])
+def test_auto_follows_the_address_of_an_interface_that_is_gone(kernel, configured, followed):
+    """One that is renamed, or replaced by another that gets its address, is the link still; a cable is not."""
+    addresses = {}
+    reader = kernel.reader(configured, choose=lambda: "wlan0", addresses=lambda: addresses)
+    kernel.put("wlan0", rx=(1000, 10))
+    reader.read()
+    addresses |= {"wlan0": frozenset({"10.0.0.1"}), "eth0": frozenset({"10.9.0.1"})}  # it comes by DHCP
+    kernel.put("eth0")
+    reader.read()
+    kernel.interfaces["wlan1"] = kernel.interfaces.pop("wlan0")
+    assert reader.read() is None
+    addresses["wlan1"] = addresses.pop("wlan0")
+    kernel.put("wlan1", rx=(1500, 15))
+    after = reader.read()
+    assert reader.name == followed
+    assert after is None or received(after) == (1000, 10)
+    kernel.put("wlan1", rx=(1600, 16))
+    assert (reader.read() is None) == (configured == "wlan0")
 
 
 def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel):
