@@ -19,10 +19,13 @@ _LEAST_RATE = 0.05  # of the capacity: a queue that nothing leaves is long, and 
 _KNOWN = 0.8  # of a span must be known
 
 
-class _Look(NamedTuple):
+class Look(NamedTuple):
+    """Bytes that wait at a time (s), and those that left since the look before."""
+
     at_s: float
     waiting_bytes: float
     left_bytes: float
+    is_late: bool = False  # a ping should have arrived by then, so no burst explains what waits
 
 
 class StandingQueue:
@@ -42,11 +45,11 @@ class StandingQueue:
 
     def __init__(self, *, fresh_s: float = math.inf, least_span_s: float = _LEAST_SPAN_S) -> None:
         self._fresh_s, self._least_span_s = fresh_s, least_span_s
-        self._looks: deque[_Look] = deque()
+        self._looks: deque[Look] = deque()
         self.busy_rate: float | None = None
 
-    def note(self, now_s: float, *, waiting_bytes: float, left_bytes: float, interval_s: float | None = None) -> None:
-        """Note the bytes that wait, and those that left since the look before, or in the interval.
+    def note(self, look: Look, *, interval_s: float | None = None) -> None:
+        """Note a look, and in which time the bytes left; None = since the look before.
 
         When no more left than waited at the look before, the link was never idle between the two, and what left is its
         capacity.
@@ -54,13 +57,13 @@ class StandingQueue:
         self.busy_rate = None
         if self._looks:
             before = self._looks[-1]
-            apart_s = now_s - before.at_s
+            apart_s = look.at_s - before.at_s
             span_s = apart_s if interval_s is None else interval_s
-            if min(span_s, apart_s) >= self._least_span_s and before.waiting_bytes >= _SURELY * left_bytes > 0:
-                self.busy_rate = left_bytes / span_s
-        self._looks.append(_Look(now_s, waiting_bytes, left_bytes))
+            if min(span_s, apart_s) >= self._least_span_s and before.waiting_bytes >= _SURELY * look.left_bytes > 0:
+                self.busy_rate = look.left_bytes / span_s
+        self._looks.append(look)
         # Keep as many looks as separate a standing queue from a burst.
-        while len(self._looks) > 1 and now_s - self._looks[1].at_s >= _STANDING_S:
+        while len(self._looks) > 1 and look.at_s - self._looks[1].at_s >= _STANDING_S:
             self._looks.popleft()
 
     def clear(self) -> None:
@@ -80,7 +83,8 @@ class StandingQueue:
         if not looks or now_s - looks[-1].at_s > self._fresh_s:
             return 0.0
         span_s = looks[-1].at_s - looks[0].at_s
-        if not _STANDING_S <= span_s <= self._fresh_s or min(look.waiting_bytes for look in looks) <= burst_bytes:
+        stands = looks[-1].is_late or min(look.waiting_bytes for look in looks) > burst_bytes
+        if not _STANDING_S <= span_s <= self._fresh_s or not stands or looks[-1].waiting_bytes <= burst_bytes:
             return 0.0
         rate = (sum(look.left_bytes for look in looks) - looks[0].left_bytes) / span_s
         return looks[-1].waiting_bytes / max(rate, _LEAST_RATE * capacity)
@@ -117,7 +121,7 @@ class LocalQueue:
             self._sent.popleft()
         backlog = counters.backlog_bytes or 0
         self._waits_here, self.handed_bytes = backlog > 0, counters.tx_bytes + backlog
-        self._backlog.note(now_s, waiting_bytes=backlog, left_bytes=left_bytes)
+        self._backlog.note(Look(now_s, backlog, left_bytes))
         self.busy_rate = self._backlog.busy_rate
         self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
 

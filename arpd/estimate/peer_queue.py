@@ -8,7 +8,7 @@ from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.estimate import parameters
-from arpd.estimate.local_queue import StandingQueue
+from arpd.estimate.local_queue import Look, StandingQueue
 from arpd.estimate.receiver import PROMPT_S
 
 if TYPE_CHECKING:
@@ -131,7 +131,8 @@ class QueueGauge:
         # While the report waited on its way back, more was handed over, and as much arrived.
         late = 1.5 * max(0.0, self.return_delay_s or 0.0) * rate
         backlog, now_s = outstanding - max(0.0, on_way) - late, report.received_at_s
-        self.backlog.note(now_s, waiting_bytes=backlog, left_bytes=report.rx_bytes, interval_s=report.interval_s)
+        look = Look(now_s, backlog, report.rx_bytes, is_late=not report.delays_s)
+        self.backlog.note(look, interval_s=report.interval_s)
         # What is on a long way looks like what waits, and so do lost bytes; but a ping arrives after what it waits for.
         has_left = self._last_ping is not None and now_s - self._last_ping.sent_s < silent_s
         if has_left or report.interval_s < self._round_trips.least_s < math.inf:

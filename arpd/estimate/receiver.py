@@ -8,9 +8,9 @@ from typing import NamedTuple
 from arpd.model.probing import PeerReport, Train
 from arpd.model.wire import probe_wire_bytes
 
-# A report answers a ping; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
+# A report answers a probe; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
 PROMPT_S = 0.02  # least time between two reports; bytes that arrive before a ping's report blur those after the ping
-BUSY_S = 0.12  # until the report of a train that no ping follows, and of traffic that is worth one when a ping is late
+BUSY_S = 0.12  # until the report of traffic that is worth one when a ping is late
 WORTH_BYTES = 10_000  # received since the last report are worth one
 QUIET_S = 0.25  # between reports while no probe arrives; longer silence is an outage (`arpd.estimate.estimator`)
 LONGEST_QUIET_S = 2.0  # even if a ping asks for more
@@ -49,12 +49,13 @@ class ReportSchedule:
         """Time to read the interface and call `note_traffic` (s)."""
         return self.sent_at_s + self._late_s
 
-    def note_probe(self, *, packets: int, quiet_s: float) -> None:
-        """Note that a packet of a probe arrived: of a train, or a ping; and how rare the daemon wants reports (s)."""
+    def note_probe(self, *, is_last: bool, quiet_s: float) -> None:
+        """Note that a packet of a probe arrived, the last one or not; and how rare the daemon wants reports (s)."""
         self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
         self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
-        # A ping's delay is the first sign of a queue, so its report does not wait for further probes.
-        self._wait_s = min(self._wait_s, PROMPT_S if packets == 1 else BUSY_S)
+        # A ping's delay is the first sign of a queue, and a train of a rise, so no report waits for further probes.
+        if is_last:
+            self._wait_s = PROMPT_S
 
     def note_traffic(self, size_bytes: float) -> None:
         """Note what the interface received since the last report: while a queue stands, pings are late."""
@@ -184,7 +185,7 @@ class Receiver:
         quiet_s: float = 0.0,
     ) -> None:
         """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
-        self.schedule.note_probe(packets=packets, quiet_s=quiet_s)
+        self.schedule.note_probe(is_last=index == packets - 1, quiet_s=quiet_s)
         if index == 0:
             del self._delays_s[:-_MOST_KEPT]
             self._delays_s.append((received_ns - sent_ns) / 1e9)

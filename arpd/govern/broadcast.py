@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 _REPEAT_S = 1.0  # the message is best effort, and a sign that the daemon lives
 _TOLERANCE = 0.01
-_URGENT = 0.1  # a fall by more waits for nothing
+_URGENT = 0.1  # a fall by more waits for nothing, and a rise no longer than the link needs
 _MESSAGE_BYTES = 210.0
 # Parts of the link for the messages to nodes beyond it: as little as keeps the pause short, and never more.
 _SHARE, _USUAL_PAUSE_S, _MOST_SHARE = 0.0025, 0.1, 0.02
@@ -30,8 +30,9 @@ class Broadcast:
             if price.is_near(self._sent, tolerance=_TOLERANCE):
                 return False
             message_s = _MESSAGE_BYTES / price.capacity_bytes_per_second
-            pause_s = max(message_s / _MOST_SHARE, min(_USUAL_PAUSE_S, message_s / _SHARE))
-            if since_s < pause_s and _level(price) >= (1.0 - _URGENT) * _level(self._sent):
+            level, before = _level(price), _level(self._sent)
+            usual_s = 0.0 if level > (1.0 + _URGENT) * before else min(_USUAL_PAUSE_S, message_s / _SHARE)
+            if since_s < max(usual_s, message_s / _MOST_SHARE) and level >= (1.0 - _URGENT) * before:
                 return False
         self._sent, self._sent_s = price, now_s
         return True

@@ -156,3 +156,12 @@ def test_bytes_that_go_elsewhere_make_no_link_busy():
         fifo.lose(900 * (round_ % 6 == 5))
         fifo.run(0.3)
         assert fifo.gauge.backlog.busy_rate is None
+
+
+def test_bytes_without_their_ping_are_a_queue_at_once():
+    """What waits at one report may be a burst, unless the report came because no ping arrived in time."""
+    fifo = Fifo()
+    for _ in range(12):
+        fifo.cycle(1000)
+    fifo.wait(0.1, size=200_000)
+    assert fifo.gauge.backlog.delay_s(fifo.now_s, burst_bytes=15_000, capacity=RATE) > 0.25

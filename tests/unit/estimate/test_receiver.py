@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.receiver import BUSY_S, LONGEST_QUIET_S, QUIET_S, Arrival, Receiver, measure_train
+from arpd.estimate.receiver import BUSY_S, LONGEST_QUIET_S, PROMPT_S, QUIET_S, Arrival, Receiver, measure_train
 from arpd.model.wire import probe_wire_bytes
 
 SIZE = 1200
@@ -87,6 +87,14 @@ def test_a_complete_train_is_reported_once():
     assert (len(first.delays_s), len(first.trains), first.last_probe) == (1, 1, 5)
     assert first.trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
     assert (second.delays_s, second.trains, second.interval_s) == ((), (), pytest.approx(0.2))
+
+
+@pytest.mark.parametrize(("indices", "wait_s"), [(range(5), PROMPT_S), (range(4), QUIET_S)])
+def test_a_train_is_reported_as_soon_as_it_is_whole(indices, wait_s):
+    """Its last packet waits for no ping, and none before it asks for a report of half a train."""
+    receiver = Receiver("p", 0.0)
+    send(receiver, 1, 5, indices=indices)
+    assert receiver.schedule.due_s == pytest.approx(wait_s)
 
 
 @pytest.mark.parametrize("lost", [{4}, {0}, {19}, {0, 19}, {7, 8}])

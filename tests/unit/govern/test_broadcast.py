@@ -11,10 +11,10 @@ from arpd.model.price import Price
 PRICE = Price(share_per_weight=0.1, capacity_bytes_per_second=1e6)
 
 
-def sent(prices):
-    """Return the ticks at which a price goes out, one price per tick of 100 ms."""
+def sent(prices, tick_s=0.1):
+    """Return the ticks at which a price goes out, one price per tick."""
     broadcast = Broadcast()
-    return [tick for tick, price in enumerate(prices) if broadcast.is_due(price, 100.0 + 0.1 * tick)]
+    return [tick for tick, price in enumerate(prices) if broadcast.is_due(price, 100.0 + tick_s * tick)]
 
 
 @pytest.mark.parametrize(("factor", "is_news"), [(1.005, False), (0.995, False), (1.02, True), (0.98, True), (0, True)])
@@ -22,6 +22,18 @@ def test_a_change_goes_out_at_once(factor, is_news):
     """A change of more than one per cent does not wait; what stays is repeated once a second, a sign of life."""
     assert sent([PRICE, PRICE, replace(PRICE, share_per_weight=0.1 * factor)]) == [0, *[2] * is_news]
     assert sent([PRICE] * 25) == [0, 10, 20]
+
+
+def test_a_step_waits_for_no_pause():
+    """A price that leaps or falls by more than a tenth goes out in 30 ms, one that creeps in a tenth of a second."""
+    usual = replace(PRICE, capacity_bytes_per_second=625e3)
+    steps = {part: [usual, *[replace(usual, share_per_weight=0.1 * part)] * 8] for part in (0.5, 0.95, 1.05, 1.5)}
+    assert {part: sent(prices, tick_s=0.03) for part, prices in steps.items()} == {
+        0.5: [0, 1],
+        0.95: [0, 4],
+        1.05: [0, 4],
+        1.5: [0, 1],
+    }
 
 
 def test_a_slow_link_is_not_filled_with_prices():
