@@ -7,11 +7,13 @@ import logging
 import threading
 import time
 from contextlib import contextmanager
+from functools import cache, partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from prometheus_client import Histogram, disable_created_metrics
 
-from arpd.daemon.supervisor import Signals, Supervisor
+from arpd.daemon.supervisor import Signals, Supervisor, in_thread
 from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
@@ -21,6 +23,7 @@ from arpd.model.settings import OnStop
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from concurrent.futures import Future
     from pathlib import Path
 
     from arpd.model.settings import LinkDomain, Settings
@@ -60,6 +63,17 @@ class _Garbage:
         if time.monotonic() - self._collected_s >= _COLLECT_S or gc.get_count()[0] >= _MOST_NEW:
             gc.collect()
             self._collected_s = time.monotonic()
+
+
+def loaded(module: str) -> Any:
+    """Return a module, None while a thread imports it: a solver takes 0.2 s, on a Raspberry Pi a second."""
+    loading = _loading(module)
+    return loading.result() if loading.done() else None
+
+
+@cache
+def _loading(module: str) -> Future[Any]:
+    return in_thread(partial(import_module, module), "arpd-solver")
 
 
 def new_durations() -> dict[str, Histogram]:
@@ -122,6 +136,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             estimator=estimator,
             tell=log_event,
             timed=lambda name, took_s: durations[name].observe(took_s),
+            load=loaded,
         )
         diagnostics = Diagnostics(own_node, lambda: daemon.snapshot)
         web = HttpServer(

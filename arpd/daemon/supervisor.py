@@ -8,7 +8,7 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.host.notify import Notifier, Watchdog
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from arpd.model.settings import Settings
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 LEAST_PAUSE_S = 0.02  # between two ticks, also when many reports arrive
 
@@ -56,20 +57,20 @@ class Signals:
         self.reload = True
 
 
-def _reading(load: Callable[[], Settings]) -> Future[Settings]:
-    """Read the configuration in a thread: a faulty file of a megabyte takes longer than a tick may wait.
+def in_thread(work: Callable[[], T], name: str) -> Future[T]:
+    """Do what takes longer than a tick may wait, such as to read a faulty configuration of a megabyte.
 
-    A daemon thread and no executor's, so that the process can end before the thread does.
+    In a daemon thread and no executor's, so that the process can end before the thread does.
     """
-    future: Future[Settings] = Future()
+    future: Future[T] = Future()
 
-    def read() -> None:
+    def do() -> None:
         try:
-            future.set_result(load())
+            future.set_result(work())
         except Exception as error:  # noqa: BLE001 - raised by the future's result
             future.set_exception(error)
 
-    threading.Thread(target=read, name="arpd-config", daemon=True).start()
+    threading.Thread(target=do, name=name, daemon=True).start()
     return future
 
 
@@ -158,7 +159,7 @@ class Supervisor:
             self._signals.reload = False
             if self._is_ready:
                 self._notifier.reloading()
-            self._reading = _reading(self._load)
+            self._reading = in_thread(self._load, "arpd-config")
 
     def _note_failure(self, error: Exception) -> None:
         self._daemon.record.note_failed_tick()

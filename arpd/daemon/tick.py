@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arpd import __version__
 from arpd.daemon.record import Record
@@ -67,6 +67,7 @@ class Daemon:
     estimator : estimates the capacity; `arpd.estimate.estimator.Estimator` by default
     tell : called with each event of the decision log
     timed : as of `Record`
+    load : as of `Program`
 
     Attributes
     ----------
@@ -85,6 +86,7 @@ class Daemon:
         estimator: Estimator | Oracle | None = None,
         tell: Callable[[Event], None] = lambda _event: None,
         timed: Callable[[str, float], None] = lambda _name, _took_s: None,
+        load: Callable[[str], Any] | None = None,
     ) -> None:
         self.interface = interface
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
@@ -96,7 +98,8 @@ class Daemon:
         self._wall_clock = wall_clock
         self._estimator = estimator or Estimator(settings.link)
         self._budget = Budget()
-        self._program = Program(settings, clock=self._clock)
+        self._load = load
+        self._program = Program(settings, clock=self._clock, load=load)
         self._governor = Governor(settings)
         self._broadcast = Broadcast()
         self._planned = Planned()
@@ -263,7 +266,7 @@ class Daemon:
 
     def _take(self, fresh: Settings) -> None:
         """Bring settings into force everywhere, or nowhere: only a program could refuse them, so it comes first."""
-        self._program = Program(fresh, clock=self._clock, outcomes=self._program.outcomes)
+        self._program = Program(fresh, clock=self._clock, outcomes=self._program.outcomes, load=self._load)
         self._estimator.reconfigure(fresh.link)
         self._governor.reconfigure(fresh)
 

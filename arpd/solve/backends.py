@@ -1,6 +1,6 @@
 """Asks the back end of the configuration, proves its answer, and lets the closed form answer where that fails.
 
-Importing this module loads no solver library; a `Solver` loads the one that it asks.
+A solver library is loaded when it is first asked: a link that carries all needs none.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import logging
 import math
 from collections import Counter
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.model.settings import Backend
@@ -34,18 +35,21 @@ class Solver:
     ----------
     backend : back end to ask
     outcomes : (back end, ``solved`` | ``failed`` | ``disagreed``) → count; its own by default
+    load : imports the module of a back end; returns None until then, while the closed form answers: that is no failure
     """
 
-    def __init__(self, backend: Backend, outcomes: Counter[tuple[str, str]] | None = None) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        outcomes: Counter[tuple[str, str]] | None = None,
+        *,
+        load: Callable[[str], Any] | None = None,
+    ) -> None:
         self.outcomes: Counter[tuple[str, str]] = Counter() if outcomes is None else outcomes
-        self._backend = backend
+        self._backend, self._load = backend, load or import_module
         self._fault = ""
-        self._library: Any = None
-        try:
-            if backend is not Backend.CLOSED_FORM:
-                self._library = import_module(f"arpd.solve.{backend}_")
-        except Exception as error:  # noqa: BLE001 - of an installation that does not fit, a library may raise anything
-            self._note(f"cannot be used ({error})")
+        if backend is not Backend.CLOSED_FORM and find_spec(backend) is None:
+            self._note("is not installed")
 
     def level(self, weights: Column, low: Column, high: Column, budget: float) -> tuple[float, Backend | None]:
         """Return ν and who found it; None where nobody is asked, because all ceilings fit, or the floors alone."""
@@ -55,7 +59,7 @@ class Solver:
         if low.sum() >= budget * (1.0 - TOLERANCE):
             return closed, None
         return self._asked(
-            lambda: self._library.level(weights, low, high, budget),
+            lambda library: library.level(weights, low, high, budget),
             closed=closed,
             missed_by=lambda level: residual(level, weights, low, high, budget),
         )
@@ -64,23 +68,26 @@ class Solver:
         """Return (R, D) of an Eq. (4) that has a solution, and who found it."""
         rate_hz, depth = problem.vertex()
         return self._asked(
-            lambda: self._library.eq4(problem),
+            lambda library: library.eq4(problem),
             closed=(rate_hz, depth),
             missed_by=lambda found: (
                 abs(found[0] - rate_hz) / problem.max_rate_hz + abs(found[1] - depth) / problem.max_depth
             ),
         )
 
-    def _asked(self, ask: Callable[[], T], *, closed: T, missed_by: Callable[[T], float]) -> tuple[T, Backend]:
-        if self._backend is not Backend.CLOSED_FORM:
-            missed = math.nan
-            try:
-                if self._library is not None and (missed := missed_by(answer := ask())) <= TOLERANCE:
+    def _asked(self, ask: Callable[[Any], T], *, closed: T, missed_by: Callable[[T], float]) -> tuple[T, Backend]:
+        outcome = ""
+        try:
+            if self._backend is not Backend.CLOSED_FORM and (library := self._load(f"arpd.solve.{self._backend}_")):
+                if (missed := missed_by(answer := ask(library))) <= TOLERANCE:
                     self.outcomes[self._backend, "solved"] += 1
                     return answer, self._backend
-            except Exception as error:  # noqa: BLE001 - a library may raise anything
-                self._note(f"raised {type(error).__name__}: {error}")
-            self.outcomes[self._backend, "failed" if math.isnan(missed) else "disagreed"] += 1
+                outcome = "failed" if math.isnan(missed) else "disagreed"
+        except Exception as error:  # noqa: BLE001 - a library may raise anything
+            outcome = "failed"
+            self._note(f"cannot be used ({type(error).__name__}: {error})")
+        if outcome:
+            self.outcomes[self._backend, outcome] += 1
         self.outcomes[Backend.CLOSED_FORM, "solved"] += 1
         return closed, Backend.CLOSED_FORM
 

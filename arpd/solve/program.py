@@ -6,7 +6,7 @@ Design: docs/design.md, The program.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
 from arpd.model.settings import Backend, Policy
@@ -44,7 +44,7 @@ class Program:
     settings : policy and back end; headroom η and packet overhead t_ovh where nothing measured stands for them
     backend : back end for this program alone; None = the one in ``settings``
     clock : monotonic clock for ``Allocation.solve_s``, which stays 0 without one (s)
-    outcomes : counts to go on with; see `Solver`
+    outcomes, load : see `Solver`
     """
 
     def __init__(
@@ -54,9 +54,10 @@ class Program:
         backend: Backend | None = None,
         clock: Callable[[], float] = lambda: 0.0,
         outcomes: Counter[tuple[str, str]] | None = None,
+        load: Callable[[str], Any] | None = None,
     ) -> None:
         self._settings = settings
-        self._solver = Solver(backend or settings.program.backend, outcomes)
+        self._solver = Solver(backend or settings.program.backend, outcomes, load=load)
         self._clock = clock
         self._rows = Rows(())
 

@@ -117,12 +117,23 @@ def test_osqp_writes_nothing(capfd):
     assert capfd.readouterr().out == ""
 
 
+def test_while_its_library_loads_the_closed_form_answers_and_nothing_has_failed():
+    """A daemon loads a library in a thread, and plans meanwhile."""
+    modules = [None, osqp_]
+    solver = Solver(Backend.OSQP, load=lambda _name: modules.pop(0))
+    answers = [solver.level(WEIGHTS, LOW, HIGH, BUDGET) for _ in range(2)]
+    assert [backend for _, backend in answers] == [Backend.CLOSED_FORM, Backend.OSQP]
+    assert solver.outcomes == {("closed_form", "solved"): 1, ("osqp", "solved"): 1}
+
+
 def test_importing_the_program_loads_no_solver_library():
-    """Importing the program loads neither OSQP nor cvxpy, and a solver loads its own library alone."""
+    """Importing the program loads neither OSQP nor cvxpy, and a solver that is asked loads its own library alone."""
     script = (
         "import sys, arpd.solve.program\n"
         "assert not {'osqp', 'cvxpy', 'scipy'} & set(sys.modules)\n"
-        "from arpd.solve.backends import Solver; Solver('osqp')\n"
+        "from arpd.solve.backends import Solver; from arpd.solve.eq4 import Eq4Problem; solver = Solver('osqp')\n"
+        "assert 'osqp' not in sys.modules\n"
+        "solver.eq4(Eq4Problem(max_rate_hz=100, topics=12))\n"
         "assert 'osqp' in sys.modules and 'cvxpy' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
