@@ -90,7 +90,8 @@ class Lane:
     write : writes one serialized sample to the topic
     depth, large_depth : most small samples that wait of each source, and most large ones
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
-    is_kept : whether the other end delivers its samples however old they are
+    is_kept : whether the other end delivers its samples however old they are; where they are not ordered, too, what the
+        link has to spare is theirs beyond the plan's rate
     weight : without a plan
     patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
         none (s)
@@ -189,6 +190,8 @@ class Lane:
             self._depth = self._large_depth = plan.depth
             cap_hz = max(cap_hz, min(CATCH_UP * cap_hz, plan.max_rate_hz))
             allowed_hz = allowed_hz if allowed_hz < plan.rate_hz else cap_hz
+        elif self.is_kept:  # histories of latched writers: none is withheld, and what is new comes last
+            cap_hz = plan.max_rate_hz
         self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
         self._allowed.retune(allowed_hz, usual_hz=plan.rate_hz)
         floor_hz = plan.min_rate_hz if price is None else price.floor_hz(plan)

@@ -136,6 +136,20 @@ def test_an_ordered_topic_catches_up_after_an_outage(most_hz, within_s):
         assert nine_later_s - one_s >= (9 - 0.3 * 25.0) / rate_hz
 
 
+@pytest.mark.parametrize(("most_hz", "within_s"), [(math.inf, 0.0), (4.0, 5.0)])
+def test_a_latched_history_needs_no_rate_but_the_configured_one(most_hz, within_s):
+    """What many writers of one topic have latched leaves as fast as the link has time to spare, within max_rate_hz."""
+    lane = make(depth=1000, is_kept=True)
+    lane.retune(TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=0, depth=1, max_rate_hz=most_hz), None)
+    now_s = 0.0
+    for source in range(20):
+        lane.offer(b"%4d" % source, now_s, source=source)
+    while len(lane):
+        now_s = lane.spare_s(now_s)
+        leave(lane, now_s)
+    assert now_s <= within_s
+
+
 def test_what_has_expired_does_not_leave():
     """A sample older than its LIFESPAN is withheld, and the next one leaves in its place."""
     lane = make(depth=3, is_ordered=True)
