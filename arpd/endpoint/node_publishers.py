@@ -8,6 +8,7 @@ import time
 from array import array
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
@@ -23,7 +24,7 @@ from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
-from arpd.ros.rcl import InvalidHandle, no_publisher_events
+from arpd.ros.rcl import InvalidHandle, NotedPublisher, no_publisher_events
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -102,7 +103,11 @@ class NodePublishers:
             warn_once(node.get_logger(), missing)
         self._lock = threading.RLock()  # guards plan, price and who has them
         self._snapshots = node.create_publisher(
-            UInt8MultiArray, PUBLISHERS_TOPIC, _NEWEST, event_callbacks=no_publisher_events()
+            UInt8MultiArray,
+            PUBLISHERS_TOPIC,
+            _NEWEST,
+            event_callbacks=no_publisher_events(),
+            publisher_class=partial(NotedPublisher, self._end),
         )
         # Read in a thread of arpd's own: no callback of the application delays them.
         warn = node.get_logger().warning
@@ -147,19 +152,15 @@ class NodePublishers:
         if now_s < self._tell_s:
             return self._tell_s
         self._told_s, self._has_news = now_s, False
-        try:
-            with self._lock:
-                if now_s - self._heard_s > _SILENT_S:
-                    self._show_price(*self._publishers.values())
-                self._expire_plan()
-            self._tell()
-        except InvalidHandle:  # the node is gone; a publisher alone raises none here
-            self._end()
-            raise
+        with self._lock:
+            if now_s - self._heard_s > _SILENT_S:
+                self._show_price(*self._publishers.values())
+            self._expire_plan()
+        self._tell()
         return self._tell_s
 
     def _end(self) -> None:
-        """Read no more: a reader would keep the participant."""
+        """Read no more: a reader would keep the node, and the participant."""
         for inbox in self._inboxes:
             inbox.destroy()
 

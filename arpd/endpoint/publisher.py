@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import suppress
 from copy import copy
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,7 @@ class AdaptivePublisher:
     ----------
     topic_name : fully qualified
     baseline : QoS of the application at creation
+    event_handlers : none, for a node that destroys it; its writers have their own
 
     Notes
     -----
@@ -89,6 +91,7 @@ class AdaptivePublisher:
     ) -> None:
         self.msg_type = msg_type
         self.topic = topic
+        self.event_handlers: tuple[()] = ()
         # A copy, so that later changes of the application's profile do not reach the next writer.
         own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
         self.topic_name: str = node.resolve_topic_name(topic)
@@ -122,10 +125,12 @@ class AdaptivePublisher:
         self._refusals = 0  # readers that refused and that a warning named
         self._thread = self._shared.thread
         self._thread.add(self._flow.lane)
+        # Its node destroys it as it does any publisher, before the writer in force, so that no swap is under way then.
+        node._publishers.insert(0, self)  # noqa: SLF001 - no public list can be added to
         try:
             self._shared.adopt(self)
         except Exception:
-            self._close()  # a refused publisher must not leave a live writer behind
+            self.destroy()  # a refused publisher must not leave a live writer behind
             raise
 
     # -- the interface of rclpy.publisher.Publisher
@@ -165,9 +170,12 @@ class AdaptivePublisher:
         self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type))
 
     def destroy(self) -> None:
-        """Destroy the publisher and all its writers."""
+        """Destroy the publisher and all its writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""
+        with suppress(ValueError):  # its node has done that
+            self._node._publishers.remove(self)  # noqa: SLF001 - as above
         self._shared.release(self)
-        self._close()
+        self._thread.remove(self._flow.lane)
+        self._flow.close()
 
     # -- re-tuning
 
@@ -230,10 +238,6 @@ class AdaptivePublisher:
                 f"{self.topic_name}: a subscription requests incompatible QoS and receives nothing; "
                 f"last incompatible policy: {self._flow.writer.refused_policy}"
             )
-
-    def _close(self) -> None:
-        self._thread.remove(self._flow.lane)
-        self._flow.close()
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
         profile = with_qos(self.qos_profile, qos)

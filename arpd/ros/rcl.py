@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.event_handler import PublisherEventCallbacks, UnsupportedEventTypeError
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.publisher import Publisher
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or endpoint raises
 
@@ -128,7 +132,7 @@ class Outlet:
         self._reference = ctypes.byref(self._message)
 
     def publish(self, sample: bytes) -> None:
-        """Publish a sample; blocks while the link's queue is full, and raises RuntimeError if rcl refuses it."""
+        """Publish a sample; blocks while the link's queue is full, and raises rclpy's RCLError if rcl refuses it."""
         message = self._message
         message.buffer = sample
         message.length = message.capacity = len(sample)
@@ -136,13 +140,26 @@ class Outlet:
             fault = self._rcl.publish(self._pointer, self._reference, None)
             message.buffer = None  # a sample may be large
             if fault:
-                raise RuntimeError(f"{self._handle.get_topic_name()}: publishing failed: {self._rcl.error()}")
+                raise rclpy_implementation.RCLError(f"Failed to publish: {self._rcl.error()}")
 
 
 @cache
 def rcl() -> Rcl:
     """Return the functions, loaded on first use: ROS may be missing."""
     return Rcl()
+
+
+class NotedPublisher(Publisher):
+    """A publisher that calls a function before its node destroys it."""
+
+    def __init__(self, note: Callable[[], None], *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._note = note
+
+    def destroy(self) -> None:
+        """Destroy it, as `Publisher.destroy` does."""
+        self._note()
+        super().destroy()
 
 
 def no_publisher_events() -> PublisherEventCallbacks:

@@ -6,6 +6,7 @@ import threading
 from dataclasses import replace
 
 import pytest
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -19,6 +20,7 @@ from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
+from arpd.ros.rcl import InvalidHandle
 from tests.ros.world import FREE, TERMS, Announced, Plans, costing, retune
 from tests.waiting import PATIENCE_S
 
@@ -159,7 +161,7 @@ def test_a_topic_has_one_publisher_in_a_node(node, publisher):
     """A second one is refused and leaves no writer; once the first is destroyed, another one may follow."""
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(node, String, TOPIC, 10)
-    assert writers_of(node) == [publisher._flow.writer.publisher]
+    assert writers_of(node) == [publisher, publisher._flow.writer.publisher]
     publisher.destroy()
     assert not writers_of(node)
     other = AdaptivePublisher(node, String, TOPIC, 99)
@@ -168,6 +170,30 @@ def test_a_topic_has_one_publisher_in_a_node(node, publisher):
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(node, String, TOPIC, 10)
     other.destroy()
+
+
+def test_its_node_destroys_it_as_any_publisher(node, publisher):
+    """`destroy_publisher` ends it once, and what is called then fails as with rclpy; so it does after a shutdown."""
+    assert node.destroy_publisher(publisher)
+    assert not node.destroy_publisher(publisher)
+    assert not writers_of(node)
+    with pytest.raises(InvalidHandle):
+        publisher.publish(String())
+    other = AdaptivePublisher(node, String, TOPIC, 99)
+    node.context.shutdown()
+    with pytest.raises(rclpy_implementation.RCLError, match="Failed to publish: publisher's context is invalid"):
+        other.publish(String())
+
+
+def test_a_destroyed_node_leaves_nothing(ros):
+    """It has left the graph, and the participant's queue, when `destroy_node` returns."""
+    watcher, node = ros.idle_node("watcher"), ros.idle_node("short_lived")
+    publisher = AdaptivePublisher(node, String, TOPIC, 10)
+    AdaptivePublisher(node, String, "/other", 10)
+    publisher.retune(TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
+    node.destroy_node()
+    assert watcher.get_node_names() == ["watcher"]
+    assert publisher._thread.topics == 0
 
 
 def test_one_failing_topic_does_not_stop_the_others(publisher, background, monkeypatch, eventually):
