@@ -10,6 +10,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from arpd import __version__
+from arpd.cli.no_daemon import failure
 from arpd.host import kernel, radio
 from arpd.host.interface import read_number
 from arpd.model.errors import NotKnownError
@@ -323,11 +324,8 @@ def units(here: Here) -> Finding:
         raise NotKnownError("systemd does not run here, or does not answer")
     faults: dict[str, str] = {}
     for name, unit in here.units.items():
-        look = f"journalctl -u {name} -n 30   # the last line says why"
-        if unit.sub.startswith("auto-restart"):  # systemd 254 and newer have auto-restart-queued, too
-            faults[f"{name} fails again and again, and systemd restarts it"] = look
-        elif unit.active == "failed":
-            faults[f"{name} has failed"] = look
+        if why := failure(name, unit):
+            faults[why] = f"journalctl -u {name} -n 30   # the last line says why"
         elif unit.is_enabled and unit.active == "inactive":
             faults[f"{name} is enabled, and does not run"] = f"sudo systemctl start {name}"
     if faults:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 _ROBOT = "arpd"
 _ENDED = {"inactive", "deactivating", ""}
-_JOURNAL = "see journalctl -u arpd"
+_JOURNAL = "see journalctl -u {0}"
 _CAUSES = {
-    2: "its command line is wrong: see systemctl cat arpd",
+    2: "its command line is wrong: see systemctl cat {0}",
     69: f"ROS cannot be used: {_JOURNAL}",
     78: f"its configuration is wrong: arpd check names every fault, or, what only its user meets, {_JOURNAL}",
 }
@@ -50,17 +50,21 @@ def next_step(units: Mapping[str, ServiceState], *, is_late: bool = False) -> st
 
 
 def _of_running(robot: ServiceState, *, is_late: bool) -> str:
-    is_repeated = robot.sub == "auto-restart"
-    if robot.active == "failed" or is_repeated:
-        return f"arpd.service failed, {_cause(robot)}{'; systemd starts it again' if is_repeated else ''}"
+    journal = _JOURNAL.format(_ROBOT)
+    if why := failure(_ROBOT, robot):
+        return why
     if is_late:
-        return f"arpd.service listens, and is too busy to answer or hangs; ask again, or {_JOURNAL}"
+        return f"arpd.service listens, and is too busy to answer or hangs; ask again, or {journal}"
     if robot.active in {"active", "reloading"}:
-        return f"arpd.service runs, but not at this address: compare http.host and http.port of its file; {_JOURNAL}"
+        return f"arpd.service runs, but not at this address: compare http.host and http.port of its file; {journal}"
     return "arpd.service is starting; ask again in some seconds, or follow it: journalctl -fu arpd"
 
 
-def _cause(unit: ServiceState) -> str:
-    if unit.exit_code:
-        return _CAUSES.get(unit.exit_code, f"exit code {unit.exit_code}: {_JOURNAL}")
-    return f"{unit.result or 'reason unknown'}: {_JOURNAL}"
+def failure(name: str, unit: ServiceState) -> str:
+    """Say why a unit failed, or fails again and again, and what to do; empty where it does not."""
+    is_repeated = unit.sub.startswith("auto-restart")  # systemd 254 and newer have auto-restart-queued, too
+    if unit.active != "failed" and not is_repeated:
+        return ""
+    usual = f"exit code {unit.exit_code}" if unit.exit_code else unit.result or "reason unknown"
+    cause = _CAUSES.get(unit.exit_code or 0, f"{usual}: {_JOURNAL}").format(name)
+    return f"{name} failed, {cause}{'; systemd starts it again' if is_repeated else ''}"

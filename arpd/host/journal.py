@@ -111,13 +111,14 @@ def configure_logging(
 
     Parameters
     ----------
-    name : name of the process in the journal
+    name : of the process in the journal; a unit of arpd goes by its own, which has the robot's name in it
     stderr : None = the process's own
     journal : socket of the journal
     """
     stderr = stderr or sys.stderr
     if takes_stderr(environ, stderr) and journal.is_socket():
-        handler: logging.Handler = JournalHandler(name, path=journal)
+        unit = Path(environ.get("RUNTIME_DIRECTORY") or name).name  # systemd.exec(5); arpd's units name theirs so
+        handler: logging.Handler = JournalHandler(unit, path=journal)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
         handler = logging.StreamHandler(stderr)

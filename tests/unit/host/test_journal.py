@@ -165,6 +165,20 @@ def root():
     logger.setLevel(level)
 
 
+def test_entries_of_one_robots_unit_have_its_name(journal, root, tmp_path):
+    """The far ends of several robots are told apart; systemd names the unit by its folder in /run."""
+    with (tmp_path / "stderr").open("w+") as stderr:
+        status = os.fstat(stderr.fileno())
+        environ = {
+            "JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}",
+            "RUNTIME_DIRECTORY": "/run/arpd-relay-far@robot1",
+        }
+        root.handlers.clear()  # pytest's
+        configure_logging("info", name="arpd-relay-far", environ=environ, stderr=stderr, journal=journal.path)
+        logging.getLogger("arpd.relay").warning("hello")
+    assert journal.entry()["SYSLOG_IDENTIFIER"] == "arpd-relay-far@robot1"
+
+
 @pytest.mark.parametrize("stream", [None, "1:2", "", "nonsense"])
 def test_entries_go_to_the_journal_only_where_stderr_does(journal, root, tmp_path, stream):
     """A JOURNAL_STREAM that names another file than stderr, which was redirected, has no effect."""
