@@ -29,7 +29,7 @@ from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable
 
     from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.node import Node
@@ -157,7 +157,7 @@ class AdaptivePublisher:
         """
         self._thread.publish(self._flow.lane, serialized(msg, self.msg_type))
 
-    def pass_on(self, msg: Any) -> None:
+    def pass_on(self, msg: Any, source: Hashable = None) -> None:
         """Publish without waiting for another write: for a caller that serves many topics, such as the relay.
 
         A writer blocks while the link's queue is full. Samples that come meanwhile are conflated here, before they grow
@@ -166,8 +166,9 @@ class AdaptivePublisher:
         Parameters
         ----------
         msg : as in `publish`
+        source : its writer; a sample is withheld for a newer one of its own writer only
         """
-        self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type))
+        self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type), source)
 
     def destroy(self) -> None:
         """Destroy the publisher and all its writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""

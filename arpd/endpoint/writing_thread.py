@@ -129,17 +129,17 @@ class WritingThread:
         if sample is not None:
             self._write(lane, sample)
 
-    def pass_on(self, lane: Lane, message: bytes) -> None:
+    def pass_on(self, lane: Lane, message: bytes, source: Hashable = None) -> None:
         """Write a small message in this thread if it may leave now and writes do not block; never wait.
 
         For a caller that serves many topics. What blocks is left to the other thread.
         """
         now_s = self._clock()
         if len(message) > SMALL_BYTES or now_s < self._shunned_until_s:
-            self.offer(lane, message)
+            self.offer(lane, message, source=source)
             return
         with self._lock:
-            sample = self._take(lane, message, now_s)
+            sample = self._take(lane, message, now_s, source)
         if sample is not None and (took_s := self._write(lane, sample)) > _BLOCKED_S:
             self._shunned_until_s = now_s + _SHUN * took_s
 
@@ -174,11 +174,11 @@ class WritingThread:
             self._freed.wait()
         self._waiters -= 1
 
-    def _take(self, lane: Lane, message: bytes, now_s: float) -> bytes | None:
+    def _take(self, lane: Lane, message: bytes, now_s: float, source: Hashable = None) -> bytes | None:
         """Return what the caller writes now, for which it then has claimed the lane."""
         sample: bytes | None = message
         if not self._queue.admit(lane, message, now_s):
-            self._queue.offer(lane, message, now_s)
+            self._queue.offer(lane, message, now_s, source=source)
             sample = self._queue.take_of(lane, now_s)
         if sample is None:
             self._wake_for_queue()

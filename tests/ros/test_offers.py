@@ -69,6 +69,16 @@ def test_a_large_sample_that_is_passed_on_is_left_to_the_thread(make, monkeypatc
     assert threading.current_thread() not in writer.threads[:2]
 
 
+def test_the_newest_of_each_source_that_is_passed_on_is_written(make, monkeypatch, eventually):
+    """A relay passes on what several nodes publish on one topic; where its rate is lower, none crowds another out."""
+    publisher = make("/tf_static", 10, Overflow.LATEST)
+    retune(publisher, rate_hz=20.0)
+    writer = Writer(publisher, monkeypatch)
+    for number in range(16):
+        publisher.pass_on(b"%02d" % number, source=number % 8)
+    eventually("each is heard", lambda: {int(sample) % 8 for sample in writer.written} == {*range(8)})
+
+
 def test_publish_waits_for_the_write_before_it_as_rclpy_does(make, monkeypatch, background, eventually):
     """A plain publisher loses nothing when several threads publish and its writer blocks."""
     publisher = make("/plain", 1, Overflow.LATEST)

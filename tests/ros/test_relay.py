@@ -64,6 +64,18 @@ def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually)
     eventually("the late reader gets the map", lambda: received == ["the map"])
 
 
+def test_a_late_reader_hears_each_of_many_latched_writers(ros, elsewhere, lines, carry, eventually):
+    """A dozen writers publish a static transform once each, and tf2 needs all of them."""
+    frames = elsewhere("frames")
+    talkers = [frames.create_publisher(String, "/tf_static", latched(1)) for _ in range(12)]
+    for number, talker in enumerate(talkers):
+        talker.publish(String(data=str(number)))
+    carry(ros.node("relay"), RelaySettings(topics=(RelayTopic(name="/tf_static"),)))
+    eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
+    received = listen(ros.node("late"), "/link/tf_static", latched(100))
+    eventually("all are heard", lambda: sorted(map(int, received)) == [*range(12)])
+
+
 @pytest.fixture
 def elsewhere(ros):
     """Make a node in its own participant: within one participant a topic has one type."""

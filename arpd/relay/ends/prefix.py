@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from arpd.ros.raw_reader import ReadingThread, Sample
 
 log = logging.getLogger(__name__)
+_LATCHED_DEPTH = 100  # of small samples, for late readers: of each of many writers the newest; tf2 reads as many
 _LINGER_S = 10.0  # without a writer: a source may restart, and a loop whose source never comes must end
 
 _MOST_TOPICS = 100
@@ -87,9 +88,9 @@ class _Republished(Carried):
         super().__init__(is_latched=is_latched)
         self._publisher = publisher
 
-    def send(self, _topic: str, _writer: WriterOffer, sample: Sample) -> None:
+    def send(self, _topic: str, writer: WriterOffer, sample: Sample) -> None:
         """Send a sample on, in the reading thread."""
-        self._publisher.pass_on(sample.data)
+        self._publisher.pass_on(sample.data, writer.gid)
 
     def destroy(self) -> None:
         """Send no more."""
@@ -164,11 +165,12 @@ class Prefixed(Outgoing):
         log.info("relaying %s to %s (%s)", topic, self._outputs[topic], type_name)
         # Latched topics (/map, /tf_static) stay latched: late joiners on the far side would miss them otherwise.
         durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if is_latched else QoSDurabilityPolicy.VOLATILE
+        least = _LATCHED_DEPTH if is_latched and not is_bulk(kind) else DEFAULT_RELAY_DEPTH
         publisher = AdaptivePublisher(
             self._participants.of(topic, is_large=is_bulk(kind)),
             kind,
             self._settings.prefix + topic,
-            QoSProfile(depth=self._settings.depths.get(topic) or DEFAULT_RELAY_DEPTH, durability=durability),
+            QoSProfile(depth=self._settings.depths.get(topic) or least, durability=durability),
             overflow=Overflow.QUEUE if topic in self._settings.queued else Overflow.LATEST,
         )
         return _Republished(publisher, is_latched=is_latched)
