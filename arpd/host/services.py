@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 OF_ARPD = ("arpd", "arpd-relay", "arpd-relay-far", "arpd-relay-far@*", "arpd-peer", "arpd-peer@*")
 _OF_BASE = {"arpd-relay-far", "arpd-peer"}
 _TIMEOUT_S = 2.0
-_PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,StatusText,Result,ExecMainCode,ExecMainStatus"
+_PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,StatusText,NRestarts,Result,ExecMainCode,ExecMainStatus"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,18 +25,18 @@ class ServiceState:
     is_installed : whether there is a unit file
     is_enabled : whether it starts at boot
     active : ``active``, ``activating``, ``inactive``, ``failed`` …
-    sub : the finer state, ``auto-restart`` between two attempts
     result : reason of the last end, ``success`` where nothing went wrong
     exit_code : exit code of the last main process, None where a signal ended it or none has ended
+    is_restarted : whether systemd starts it again by itself, or waits to do so
     says : what the service says of itself, empty where it does not run
     """
 
     is_installed: bool
     is_enabled: bool
     active: str
-    sub: str = ""
     result: str = ""
     exit_code: int | None = None
+    is_restarted: bool = False
     says: str = ""
 
     @property
@@ -82,12 +82,14 @@ def used_on_base(units: Mapping[str, ServiceState]) -> list[str]:
 def _state_of(properties: dict[str, str]) -> ServiceState:
     code = properties.get("ExecMainStatus", "")
     has_exited = properties.get("ExecMainCode") == "1"  # CLD_EXITED
+    # A start by hand begins the count anew. systemd 254 and newer have auto-restart-queued, too.
+    is_again = properties.get("SubState", "").startswith("auto-restart") or properties.get("NRestarts", "0") != "0"
     return ServiceState(
         is_installed=properties.get("LoadState") not in {None, "not-found"},
         is_enabled=properties.get("UnitFileState") == "enabled",
         active=properties.get("ActiveState", ""),
-        sub=properties.get("SubState", ""),
         result=properties.get("Result", ""),
         exit_code=int(code) if has_exited and code.isdecimal() else None,
+        is_restarted=is_again and properties.get("ActiveState") == "activating",
         says=properties.get("StatusText", ""),
     )

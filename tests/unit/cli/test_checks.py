@@ -75,7 +75,7 @@ def unit(active, **fields):
         (checks.units, unit("inactive"), "wrong"),
         (checks.units, unit("inactive", is_enabled=False), "fine"),
         (checks.units, unit("activating"), "fine"),
-        (checks.units, unit("activating", sub="auto-restart"), "wrong"),
+        (checks.units, unit("activating", is_restarted=True), "wrong"),
         (checks.units, Namespace(units=None), "unknown"),
     ],
 )

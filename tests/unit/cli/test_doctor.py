@@ -78,7 +78,7 @@ def test_an_ill_computer_shows_what_to_do(doctor, computer):
     def refuse(_name):
         raise NotKnownError("nl80211 does not tell it")
 
-    looping = ServiceState(is_installed=True, is_enabled=True, active="activating", sub="auto-restart")
+    looping = ServiceState(is_installed=True, is_enabled=True, active="activating", is_restarted=True)
     computer(here, service_states=lambda *_: {"arpd": looping})
     computer(checks.kernel, read_mtu=lambda _name: 1280)
     computer(checks.radio, power_save=lambda _name: True, region=refuse)

@@ -85,9 +85,14 @@ STOPPED = unit("inactive", is_enabled=False)
 @pytest.mark.parametrize(
     ("robot", "other_end", "said"),
     [
-        (unit("active", sub="running"), "inactive", "http.host"),
-        (unit("activating", sub="start"), "inactive", "ask again"),
-        (unit("activating", sub="auto-restart", exit_code=1), "inactive", "exit code 1"),
+        (unit("active"), "inactive", "http.host"),
+        (unit("activating"), "inactive", "ask again"),
+        (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
+        (
+            unit("activating", is_restarted=True, result="success"),
+            "inactive",
+            "reason unknown: see journalctl",
+        ),
         (unit("failed", exit_code=78, result="exit-code"), "inactive", "arpd check"),
         (unit("failed", result="watchdog"), "inactive", "watchdog"),
         (unit("inactive"), "inactive", "systemctl start arpd"),

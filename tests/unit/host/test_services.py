@@ -39,18 +39,30 @@ def test_each_unit_has_its_state():
 
     states = service_states("arpd", "arpd-peer@*", ask=ask)
     assert states == {
-        "arpd": ServiceState(
-            is_installed=True, is_enabled=True, active="failed", sub="failed", result="exit-code", exit_code=78
-        ),
+        "arpd": ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78),
         "arpd-peer@robot1": ServiceState(
             is_installed=False,
             is_enabled=False,
             active="inactive",
-            sub="dead",
             result="signal",
             says="no probes; a=b",
         ),
     }
+
+
+@pytest.mark.parametrize(
+    ("told", "is_restarted"),
+    [
+        ("ActiveState=activating\nSubState=auto-restart\nNRestarts=0", True),
+        ("ActiveState=activating\nSubState=start\nNRestarts=3", True),
+        ("ActiveState=activating\nSubState=start\nNRestarts=0", False),
+        ("ActiveState=active\nSubState=running\nNRestarts=3", False),
+    ],
+)
+def test_a_unit_that_systemd_starts_again_is_no_unit_that_starts(told, is_restarted):
+    """One that fails in a loop is caught between two attempts and within one alike."""
+    states = service_states("arpd", ask=lambda _arguments: f"Id=arpd.service\n{told}\n")
+    assert states["arpd"].is_restarted == is_restarted
 
 
 @pytest.mark.parametrize("script", [None, "exit 1", "sleep 60"])
