@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from arpd.endpoint.lane import SMALL_BYTES
 from arpd.endpoint.queue import SOON_S
@@ -25,6 +26,8 @@ _RETRY_S = 0.1
 _IDLE_S = 1.0  # most between two turns, for the watchdog
 _BLOCKED_S = 0.05  # a scheduler takes less
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
+
+T = TypeVar("T")
 
 
 class Turn(Protocol):
@@ -70,6 +73,8 @@ class WritingThread:
         self._waiters = 0
         self._turns: dict[Turn, float] = {}  # when they are due
         self._denied: dict[Lane, Turn] = {}  # of lanes that are claimed
+        self._is_deciding = False
+        self._late: deque[Callable[[], object]] = deque()
         self._is_stopping = False
         self._next_s = 0.0  # when the thread wakes
         self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
@@ -91,13 +96,13 @@ class WritingThread:
     def add(self, lane: Lane) -> None:
         """Serve a lane from now on."""
         with self._lock:
-            self._queue.add(lane)
+            self._decide(partial(self._queue.add, lane))
 
     def remove(self, lane: Lane) -> None:
         """Serve it no more, after a write to it has ended."""
         with self._lock:
             self._wait_for(lane)
-            self._queue.remove(lane)
+            self._decide(partial(self._queue.remove, lane))
 
     @property
     def topics(self) -> int:
@@ -116,14 +121,14 @@ class WritingThread:
         now_s = self._clock()
         expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
         with self._lock:
-            self._queue.offer(lane, message, now_s, source=source, expires_s=expires_s)
+            self._decide(partial(self._queue.offer, lane, message, now_s, source=source, expires_s=expires_s))
             self._wake_for_queue()
 
     def publish(self, lane: Lane, message: bytes) -> None:
         """Write a message in this thread if it may leave now, after the one that another thread is writing."""
         now_s = self._clock()
         with self._lock:
-            if lane.claimant is not None:
+            if lane.claimant is not None and not self._is_deciding:
                 self._wait_for(lane)
             sample = self._take(lane, message, now_s)
         if sample is not None:
@@ -165,7 +170,7 @@ class WritingThread:
     def wake(self, turn: Turn) -> None:
         """Serve one who wants a turn at once; for any thread."""
         with self._lock:
-            self._turns[turn] = -math.inf
+            self._decide(partial(self._turns.__setitem__, turn, -math.inf))
             self._wake(0.0)
 
     def _wait_for(self, lane: Lane) -> None:
@@ -174,15 +179,38 @@ class WritingThread:
             self._freed.wait()
         self._waiters -= 1
 
+    def _decide(self, act: Callable[[], T]) -> T | None:
+        """Let the queue or the turns change, now or at the end of the change that is under way in this thread.
+
+        The function of a signal, or a finalizer, may publish in the middle of one.
+        """
+        if self._is_deciding:
+            self._late.append(act)
+            return None
+        self._is_deciding = True
+        try:
+            return act()
+        finally:
+            self._is_deciding = False
+            while self._late:
+                self._decide(self._late.popleft())
+                self._wake(0.0)
+
     def _take(self, lane: Lane, message: bytes, now_s: float, source: Hashable = None) -> bytes | None:
         """Return what the caller writes now, for which it then has claimed the lane."""
+        if self._is_deciding:
+            self._late.append(partial(self._queue.offer, lane, message, now_s, source=source))
+            return None
+        if (sample := self._decide(lambda: self._take_now(lane, message, now_s, source))) is None:
+            self._wake_for_queue()
+        return sample
+
+    def _take_now(self, lane: Lane, message: bytes, now_s: float, source: Hashable) -> bytes | None:
         sample: bytes | None = message
         if not self._queue.admit(lane, message, now_s):
             self._queue.offer(lane, message, now_s, source=source)
             sample = self._queue.take_of(lane, now_s)
-        if sample is None:
-            self._wake_for_queue()
-        else:
+        if sample is not None:
             lane.claimant = threading.get_ident()
         return sample
 
@@ -220,16 +248,17 @@ class WritingThread:
 
     def _wake_for_queue(self) -> None:
         if self._queue.is_waiting and self._next_s > (now_s := self._clock()) + SOON_S:
-            self._wake(self._queue.due_s(now_s))
+            due_s = self._decide(lambda: self._queue.due_s(now_s))
+            self._wake(0.0 if due_s is None else due_s)
 
     def _run(self) -> None:
         # Without the lock: a context that shuts down has its own, and calls `stop`.
         while not self._is_stopping and self._is_alive():
             with self._lock:
-                act = self._choose(self._clock())
+                act = self._decide(lambda: self._choose(self._clock()))
                 if act is None:
                     now_s = self.finished_s = self._clock()
-                    self._next_s = min(now_s + _IDLE_S, self._due_s(now_s))
+                    self._decide(self._set_next)
                     if self._next_s > now_s and not self._is_stopping:  # `stop` may have come since
                         self._changed.wait(self._next_s - now_s)
                     self._next_s = 0.0  # nobody need wake a thread that is awake
@@ -252,6 +281,9 @@ class WritingThread:
             return None
         ready.lane.claimant = threading.get_ident()
         return partial(self._write, *ready)
+
+    def _set_next(self) -> None:
+        self._next_s = min(self.finished_s + _IDLE_S, self._due_s(self.finished_s))
 
     def _due_s(self, now_s: float) -> float:
         """Return when `_choose` may have something (s)."""

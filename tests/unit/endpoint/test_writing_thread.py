@@ -53,6 +53,33 @@ def test_a_price_for_many_lanes_wakes_the_thread_and_asks_nobody(monkeypatch):
     assert (thread._next_s, asked) == (0.0, [])
 
 
+@pytest.mark.parametrize("interrupted", ["first_s", "begin", "admit"])
+def test_who_publishes_in_the_middle_of_a_decision_has_to_wait(monkeypatch, interrupted):
+    """A signal or a finalizer interrupts a thread anywhere, also in the queue; its own sample leaves all the same."""
+    written, thread = [], make()
+    lanes = [Lane(written.append, depth=9) for _ in range(3)]
+    decide, ideas = getattr(lanes[0], interrupted), [b"of a signal"]
+
+    def interrupt(*arguments, **options):
+        if ideas:
+            thread.publish(lanes[1], ideas.pop())
+            thread.remove(lanes[2])
+        return decide(*arguments, **options)
+
+    monkeypatch.setattr(lanes[0], interrupted, interrupt)
+    for lane in lanes:
+        thread.add(lane)
+    if interrupted == "admit":
+        thread.publish(lanes[0], b"first")
+    else:
+        thread.offer(lanes[2], b"lost")
+        thread.offer(lanes[0], b"first")
+    thread.start()
+    eventually("both leave", lambda: {b"first", b"of a signal"} <= {*written})
+    assert thread.topics == 2
+    thread.stop()
+
+
 def test_a_context_that_shuts_down_can_stop_it():
     """A context holds its lock while it calls `stop`, and takes the same one to tell whether it is alive."""
     context, asked = threading.Lock(), threading.Event()
