@@ -24,7 +24,7 @@ from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
-from arpd.ros.rcl import InvalidHandle, NotedPublisher, no_publisher_events
+from arpd.ros.rcl import InvalidHandle, NotedPublisher, is_live, no_publisher_events
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -115,7 +115,6 @@ class NodePublishers:
             Inbox(node, PRICES, _NEWEST, lambda _sample, price: self.take_price(price), clock=clock, warn=warn),
             Inbox(node, _PLANS, PLAN_QOS, lambda _sample, plan: self.take_plan(plan), clock=clock, warn=warn),
         )
-        node.context.on_shutdown(self._end)
         self.thread.wake(self)
 
     @classmethod
@@ -282,7 +281,8 @@ class NodePublishers:
 def _started(node: Node, clock: Callable[[], float]) -> WritingThread:
     """Return the thread of a participant, which ends with it, and speaks for its first node."""
     context, warn = node.context, node.get_logger().error
-    thread = WritingThread(PacedQueue(), name="arpd-writing", warn=warn, is_alive=context.ok, clock=clock)
+    is_alive = partial(is_live, context)
+    thread = WritingThread(PacedQueue(), name="arpd-writing", warn=warn, is_alive=is_alive, clock=clock)
     thread.start()
     context.on_shutdown(thread.stop)
     return thread

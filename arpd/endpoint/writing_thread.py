@@ -87,6 +87,8 @@ class WritingThread:
 
     def stop(self) -> None:
         """End the thread; what waits is lost."""
+        if not self._thread.is_alive():
+            return  # in a forked process nobody would ever release the lock
         with self._lock:
             self._is_stopping = True
             self._changed.notify()
@@ -238,7 +240,8 @@ class WritingThread:
                 self._turns[turn] = due_s
 
     def _say(self, words: str) -> None:
-        if self._logged.take(words, self._clock()):
+        # What fails because the participant is gone is no fault, and the thread ends.
+        if self._is_alive() and self._logged.take(words, self._clock()):
             self._warn(f"{words} (logged once a minute)")
 
     def _wake(self, by_s: float) -> None:
@@ -252,7 +255,6 @@ class WritingThread:
             self._wake(0.0 if due_s is None else due_s)
 
     def _run(self) -> None:
-        # Without the lock: a context that shuts down has its own, and calls `stop`.
         while not self._is_stopping and self._is_alive():
             with self._lock:
                 act = self._decide(lambda: self._choose(self._clock()))

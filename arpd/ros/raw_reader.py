@@ -22,13 +22,14 @@ import select
 import threading
 import time
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
 from arpd.ros.attached import attached
-from arpd.ros.rcl import InvalidHandle, MessageInfo, rcl
+from arpd.ros.rcl import InvalidHandle, MessageInfo, is_live, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,6 +79,9 @@ class Inlet(Protocol):
         More may have been announced than there are: a full history drops the oldest.
         """
 
+    def destroy(self) -> None:
+        """Read no more."""
+
 
 class ReadingThread:
     """Takes what has come for any number of `Inlet`; their functions are called in this thread.
@@ -86,6 +90,7 @@ class ReadingThread:
     ----------
     step : called after every turn; returns when to call it again at the latest, by the clock (s)
     rest_s : rest after every turn, in which more samples come together (s)
+    is_alive : returns False once its participant is gone, which destroys what it serves, and ends the thread
     clock : monotonic clock (s)
     """
 
@@ -94,10 +99,12 @@ class ReadingThread:
         *,
         step: Callable[[], float] = lambda: math.inf,
         rest_s: float = 0.0,
+        is_alive: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._step = step
         self._rest_s = rest_s
+        self._is_alive = is_alive
         self._clock = clock
         # When it last finished a sample or a wait. A function may write, and a write onto a full link blocks for long,
         # so the watchdog's time runs for one sample alone.
@@ -119,7 +126,7 @@ class ReadingThread:
         """Return the thread that reads arpd's messages in a participant, made on first use; it ends with it."""
 
         def make() -> ReadingThread:
-            thread = cls(rest_s=REST_S)
+            thread = cls(rest_s=REST_S, is_alive=partial(is_live, context))
             context.on_shutdown(thread.stop)
             return thread
 
@@ -127,11 +134,12 @@ class ReadingThread:
 
     def stop(self) -> None:
         """End the thread; samples that wait are dropped. It may have ended already."""
-        if self._events.closed:
+        if self._events.closed or not self._thread.is_alive():  # a forked process has no such thread
             return
         self._is_stopping = True
-        self.wake()
-        self._thread.join(timeout=2.0)
+        if threading.current_thread() is not self._thread:
+            self.wake()
+            self._thread.join(timeout=2.0)
         self._close_retired()
         self._events.close()
         os.close(self._woken)
@@ -198,7 +206,7 @@ class ReadingThread:
             if self.note_finished() >= look_s:
                 look_s = self.finished_s + _TURN_S
                 left |= dict.fromkeys([*self._readers], _ALL)
-            if self._is_stopping:
+            if self._is_over():
                 return
             for event in ready | left.keys():
                 announced = left.pop(event, 0)
@@ -215,6 +223,14 @@ class ReadingThread:
                     left[event] = announced
             if ready and self._rest_s:
                 time.sleep(self._rest_s)
+
+    def _is_over(self) -> bool:
+        if not self._is_alive():  # after a signal rclpy calls nobody who asked to be told of a shutdown
+            for reader in tuple(self._readers.values()):
+                reader.destroy()  # it would keep the participant
+            if not self._is_stopping:
+                self.stop()
+        return self._is_stopping
 
     def _step_now(self) -> float:
         try:

@@ -162,6 +162,18 @@ class NotedPublisher(Publisher):
         super().destroy()
 
 
+def is_live(context: Any) -> bool:
+    """Return whether a context has not been shut down.
+
+    `Context.ok` would wait for a lock that a shutdown holds while it waits for threads of arpd's.
+    """
+    try:
+        with context.handle:
+            return bool(context.handle.ok())
+    except InvalidHandle:
+        return False
+
+
 def no_publisher_events() -> PublisherEventCallbacks:
     """Return callbacks of a publisher without rclpy's defaults.
 

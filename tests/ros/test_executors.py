@@ -144,8 +144,15 @@ def test_it_stays_in_the_context_of_its_node(ros, eventually):
     eventually("the writer is swapped", lambda: publisher.state().depth == 30)
 
 
+def shut_down_as_a_signal(context):
+    context.handle.shutdown()  # and rclpy calls none of the functions given to `on_shutdown`
+
+
 @pytest.mark.parametrize("is_destroyed_first", [False, True])
-def test_nothing_of_a_participant_outlives_its_node_and_its_context(environment, eventually, is_destroyed_first):
+@pytest.mark.parametrize("shut_down", [rclpy.Context.shutdown, shut_down_as_a_signal])
+def test_nothing_of_a_participant_outlives_its_node_and_its_context(
+    environment, eventually, is_destroyed_first, shut_down
+):
     """Both may go in any order: no thread waits for Python's collector, and nobody waits for a thread of arpd's."""
     with ExitStack() as stack:
         Ros(stack, DOMAIN + 1).idle_node("first")  # the first one leaves threads in any process
@@ -158,7 +165,7 @@ def test_nothing_of_a_participant_outlives_its_node_and_its_context(environment,
             AdaptivePublisher(node, String, TOPIC, 10)
             if is_destroyed_first:
                 node.destroy_node()
-            ros.context.shutdown()
+            shut_down(ros.context)
         eventually("its threads end", lambda: os_threads() <= before)
     finally:
         gc.enable()

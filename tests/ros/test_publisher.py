@@ -1,7 +1,9 @@
 """AdaptivePublisher with real rclpy and Fast DDS on this host; test_offers.py has who writes its samples, and when."""
 
 import math
+import os
 import re
+import signal
 import threading
 from dataclasses import replace
 
@@ -115,6 +117,25 @@ def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, s
     clock.skip(300.0)
     eventually("the second leaves", lambda: other.state().published == 1)
     assert publisher.state().published == 1
+
+
+def test_a_forked_process_that_shuts_rclpy_down_leaves_its_parent_alone(ros, eventually):
+    """It ends, although it has none of the threads; the parent hears prices as before."""
+    talker = ros.elsewhere().idle_node("talker")  # an executor's thread could hold the lock of its context at the fork
+    publisher = AdaptivePublisher(talker, String, TOPIC, 10)
+    sender = ros.idle_node("governor").create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
+    eventually("the publisher listens", sender.get_subscription_count)
+    child = os.fork()
+    if not child:
+        talker.context.shutdown()
+        os._exit(0)
+    try:
+        eventually("the child ends", lambda: os.waitpid(child, os.WNOHANG) == (child, 0))
+    except AssertionError:
+        os.kill(child, signal.SIGKILL)
+        raise
+    price = Float64MultiArray(data=encode_price(costing(5.0)))
+    eventually("the price arrives", lambda: sender.publish(price) or publisher._flow.lane.price)
 
 
 def test_silence_ends_the_wait_for_a_plan_and_no_price(clock, publisher, send_price, eventually):

@@ -80,6 +80,25 @@ def test_who_publishes_in_the_middle_of_a_decision_has_to_wait(monkeypatch, inte
     thread.stop()
 
 
+def test_what_fails_in_a_shutdown_is_no_fault():
+    """A write that fails because the participant has just gone is not logged; any other one is."""
+    alive, said, failed = [True], [], []
+
+    def write(sample):
+        alive[0] = sample == b"before"
+        failed.append(sample)
+        raise RuntimeError(f"{sample} fails")
+
+    thread, lane = make(said.append, is_alive=lambda: alive[0]), Lane(write)
+    thread.add(lane)
+    thread.start()
+    for sample in (b"before", b"after"):
+        thread.offer(lane, sample)
+        eventually("it fails", lambda sample=sample: failed[-1:] == [sample])
+    eventually("the thread ends", lambda: not thread._thread.is_alive())
+    assert said == ["b'before' fails; the next sample follows (logged once a minute)"]
+
+
 def test_a_context_that_shuts_down_can_stop_it():
     """A context holds its lock while it calls `stop`, and takes the same one to tell whether it is alive."""
     context, asked = threading.Lock(), threading.Event()
