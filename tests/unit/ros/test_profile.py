@@ -70,7 +70,7 @@ def test_a_participant_announces_itself_from_another_thread_and_is_not_slowed(pr
 
 
 def test_nodes_of_the_user_announce_themselves_as_ever():
-    """The controller's thread wakes a hundred times a second, so only arpd's processes take the profile with it."""
+    """The controller's thread wakes twenty times a second, so only arpd's processes take the profile with it."""
     nodes, own = (ET.parse(profile).getroot() for profile in (FASTDDS_PROFILE, OWN_PROFILE))
     assert nodes.find(".//{*}participant") is None
     assert [*map(ET.tostring, nodes.find(".//{*}data_writer"))] == [*map(ET.tostring, own.find(".//{*}data_writer"))]
