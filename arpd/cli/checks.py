@@ -14,7 +14,7 @@ from arpd.cli.no_daemon import failure
 from arpd.host import kernel, radio
 from arpd.host.interface import read_number
 from arpd.model.errors import NotKnownError
-from arpd.model.quantities import format_duration, format_number, format_share, format_size
+from arpd.model.quantities import format_duration, format_number, format_share, format_size, printable
 from arpd.model.wire import MTU_BYTES, PACKET_BYTES
 from arpd.report.wording import count, listed
 from arpd.ros.profile import profile_line
@@ -37,6 +37,7 @@ _ENOUGH_BUFFER_BYTES = 2 * 2**20  # 20 ms of a link that carries 100 MB/s
 _FEW_LOST, _LITTLE_LOST, _LITTLE_INCOMPLETE = 10, 1e-4, 0.01
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 _FOR_ARPD = "echo {} | sudo tee -a /etc/default/arpd && sudo systemctl restart 'arpd*'"
+_LONGEST_LINE = 400
 # As `status_line` of the relay and `ProbeStatus` of the peer have it, and a far end that has nothing to do.
 _HEARS_ITS_ROBOT = re.compile(
     r"\d+ of \d+ topics cross to the robot, \d+ of \d+ to the base computer$|.*; probes arrive since|nothing to do"
@@ -344,7 +345,7 @@ def robots(here: Here) -> Finding:
     silent: dict[str, str] = {}  # one sentence for each robot: its relay knows more than its peer
     for name, says in sorted(running.items(), reverse=True):
         if not _HEARS_ITS_ROBOT.match(says):
-            silent.setdefault(name.partition("@")[2], f"{name}: {says}")
+            silent.setdefault(name.partition("@")[2], f"{name}: {printable(says, longest=_LONGEST_LINE)}")
     if silent:
         return wrong("; ".join(sorted(silent.values())), "systemctl status arpd arpd-relay   # on that robot")
     return fine(f"{listed(sorted(running), most=4)} hear their robots" if running else "no robot is served from here")

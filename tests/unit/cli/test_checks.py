@@ -174,6 +174,7 @@ def test_no_name_from_the_network_stands_in_a_line_to_copy():
         announcer("$(reboot)", host="x;reboot", transports=["TCPv4"]),
         announcer(host="y\n reboot", transports=["UDPv4"]),
     ]
+    assert "\x1b" not in checks.robots(ends(robot1="refused /\x1b[2J: no")).text
     judged = [
         checks.transports(hears(*strangers, *strangers[1:])),
         checks.discovery(hears(*strangers, has_two_ends=True)),
