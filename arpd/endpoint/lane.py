@@ -100,6 +100,7 @@ class Lane:
     Attributes
     ----------
     claimant : thread that is at its writer, so that no other one may be; the owner of the threads sets it
+    is_closing : whether nobody may publish any more; the same owner sets it
     blocked_s : time inside its writer, which the same owner counts (s)
     """
 
@@ -124,6 +125,7 @@ class Lane:
         self._patience_s = patience_s
         self._begun_waiting_s = math.inf  # when its first sample came
         self.claimant: int | None = None
+        self.is_closing = False
         self.blocked_s = 0.0
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()

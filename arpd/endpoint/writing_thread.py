@@ -101,8 +101,9 @@ class WritingThread:
             self._decide(partial(self._queue.add, lane))
 
     def remove(self, lane: Lane) -> None:
-        """Serve it no more, after a write to it has ended."""
+        """Serve it no more, after a write to it has ended; who publishes from now on gets InvalidHandle."""
         with self._lock:
+            lane.is_closing = True  # a thread that publishes again and again would take it each time before this one
             self._wait_for(lane)
             self._decide(partial(self._queue.remove, lane))
 
@@ -200,6 +201,8 @@ class WritingThread:
 
     def _take(self, lane: Lane, message: bytes, now_s: float, source: Hashable = None) -> bytes | None:
         """Return what the caller writes now, for which it then has claimed the lane."""
+        if lane.is_closing:
+            raise InvalidHandle("cannot publish because the publisher is destroyed")
         if self._is_deciding:
             self._late.append(partial(self._queue.offer, lane, message, now_s, source=source))
             return None

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -12,6 +13,7 @@ from arpd.endpoint import writing_thread
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
+from arpd.ros.rcl import InvalidHandle
 from tests.waiting import eventually
 
 LONG_S = 5.0
@@ -51,6 +53,25 @@ def test_a_price_for_many_lanes_wakes_the_thread_and_asks_nobody(monkeypatch):
     for lane in lanes:
         thread.retune(lane, lane.plan, None)
     assert (thread._next_s, asked) == (0.0, [])
+
+
+def test_who_publishes_all_the_time_cannot_keep_a_lane():
+    """To destroy a publisher waits for one write at most, and who goes on publishing is told so."""
+    thread, lane = make(), Lane(lambda _sample: time.sleep(0.001))
+    thread.add(lane)
+
+    def publish():
+        with suppress(InvalidHandle):
+            while True:
+                thread.publish(lane, b"sample")
+
+    publishing = [threading.Thread(target=publish, daemon=True) for _ in range(2)]
+    for each in publishing:
+        each.start()
+    thread.remove(lane)
+    for each in publishing:
+        each.join(LONG_S)
+        assert not each.is_alive()
 
 
 @pytest.mark.parametrize("interrupted", ["first_s", "begin", "admit"])
