@@ -224,6 +224,8 @@ class Lane:
         if len(line) == 1:
             return
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
+        if self.is_kept and not self._is_ordered and self._cap.due_s(now_s) > now_s:
+            most = 1  # a latched topic has its configured rate, and comes more often: what waits would grow for ever
         if most == 1 and not is_out and all(len(each.message) <= SMALL_BYTES for each in line):
             most = self._most_small(len(line), now_s)
         while len(line) > most:

@@ -139,7 +139,7 @@ def test_an_ordered_topic_catches_up_after_an_outage(most_hz, within_s):
 @pytest.mark.parametrize(("most_hz", "within_s"), [(math.inf, 0.0), (4.0, 5.0)])
 def test_a_latched_history_needs_no_rate_but_the_configured_one(most_hz, within_s):
     """What many writers of one topic have latched leaves as fast as the link has time to spare, within max_rate_hz."""
-    lane = make(depth=1000, is_kept=True)
+    lane = Lane(lambda _sample: None, depth=1000, is_kept=True)
     lane.retune(TopicPlan(rate_hz=1.0, min_rate_hz=1.0, deadline_ns=0, depth=1, max_rate_hz=most_hz), None)
     now_s = 0.0
     for source in range(20):
@@ -148,6 +148,15 @@ def test_a_latched_history_needs_no_rate_but_the_configured_one(most_hz, within_
         now_s = lane.spare_s(now_s)
         leave(lane, now_s)
     assert now_s <= within_s
+
+
+def test_a_latched_topic_that_comes_above_its_configured_rate_stays_new():
+    """Else what waits would grow for ever, and each sample be older than the one before."""
+    lane = Lane(lambda _sample: None, depth=1000, is_kept=True)
+    lane.retune(TopicPlan(rate_hz=2.0, min_rate_hz=1.0, deadline_ns=0, depth=1, max_rate_hz=2.0), None)
+    departures = play(lane, every(3.0, "a"))
+    assert len(departures) >= 35
+    assert max(left_s - number / 3.0 for left_s, _, number in departures) <= 0.5
 
 
 def test_what_has_expired_does_not_leave():
