@@ -159,7 +159,9 @@ class NodePublishers:
         return self._tell_s
 
     def _end(self) -> None:
-        """Read no more: a reader would keep the node, and the participant."""
+        """Tell that no publisher is left, and read no more: a reader would keep the node, and the participant."""
+        with suppress(RuntimeError):  # of rclpy: its context has ended first
+            self._tell()
         for inbox in self._inboxes:
             inbox.destroy()
 

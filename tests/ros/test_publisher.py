@@ -125,15 +125,16 @@ def test_a_forked_process_that_shuts_rclpy_down_leaves_its_parent_alone(ros, eve
     publisher = AdaptivePublisher(talker, String, TOPIC, 10)
     sender = ros.idle_node("governor").create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
     eventually("the publisher listens", sender.get_subscription_count)
-    child = os.fork()
-    if not child:
-        talker.context.shutdown()
-        os._exit(0)
-    try:
-        eventually("the child ends", lambda: os.waitpid(child, os.WNOHANG) == (child, 0))
-    except AssertionError:
-        os.kill(child, signal.SIGKILL)
-        raise
+    for _ in range(5):
+        child = os.fork()
+        if not child:
+            talker.context.shutdown()
+            os._exit(0)
+        try:
+            eventually("the child ends", lambda child=child: os.waitpid(child, os.WNOHANG) == (child, 0))
+        except AssertionError:
+            os.kill(child, signal.SIGKILL)
+            raise
     price = Float64MultiArray(data=encode_price(costing(5.0)))
     eventually("the price arrives", lambda: sender.publish(price) or publisher._flow.lane.price)
 
@@ -247,6 +248,19 @@ def test_a_node_that_is_destroyed_leaves_the_others(ros, publisher, background, 
     watcher = Announced(ros.node("watcher"))
     eventually("the other node announces", lambda: [state.depth for state in watcher.states] == [30])
     assert publisher._thread._thread.is_alive()
+
+
+def test_the_daemon_hears_at_once_that_a_node_is_destroyed(ros, eventually):
+    """The last snapshot of a node has no publishers, so nobody waits for its silence."""
+    watcher, node = Announced(ros.node("watcher")), ros.idle_node("short_lived")
+    AdaptivePublisher(node, String, TOPIC, 10)
+    eventually("it is known", lambda: watcher.states)
+    node.destroy_node()
+
+    def told():
+        return [len(snapshot.publishers) for snapshot in watcher.snapshots]
+
+    eventually("nothing is left", lambda: told() == [0])
 
 
 def test_overrides_given_at_the_start_are_the_application_s_own_qos(ros):

@@ -128,6 +128,12 @@ class Announced:
             return self._nodes.live(time.monotonic())
 
     @property
+    def snapshots(self):
+        """The last one of each node."""
+        with self._lock:
+            return [node.snapshot for node in self._nodes._nodes.values()]
+
+    @property
     def answers(self):
         """Answers to plans, by node."""
         with self._lock:
