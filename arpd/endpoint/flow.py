@@ -126,6 +126,13 @@ class Flow(Generic[W]):
             due_s = min(due_s, max(now_s, self._catch_up_s))
         return due_s
 
+    def is_acknowledged(self) -> bool:
+        """Return whether no sample waits here, and no reader waits for one."""
+        if len(self.lane) or self.lane.claimant is not None or self._held:
+            return False
+        with self._lock:
+            return self._swap.is_acknowledged()
+
     def state(self) -> FlowState:
         """Return the settings in force and the counters; called about once a second."""
         lane = self.lane.state(self._clock())

@@ -10,6 +10,7 @@ from copy import copy
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
 from arpd.endpoint.flow import Flow
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
+_FOREVER, _POLL_S = Duration(seconds=-1), 0.005
 _LATCHED = "is TRANSIENT_LOCAL: a new writer would lack what late joiners need"
 
 
@@ -169,6 +171,18 @@ class AdaptivePublisher:
         source : its writer; a sample is withheld for a newer one of its own writer only
         """
         self._thread.pass_on(self._flow.lane, serialized(msg, self.msg_type), source)
+
+    def wait_for_all_acked(self, timeout: Duration = _FOREVER) -> bool:
+        """Wait until all that was published has left and was acknowledged; return whether it was in time.
+
+        Parameters
+        ----------
+        timeout : longest wait; below 0 = as long as it takes
+        """
+        until_s = math.inf if timeout.nanoseconds < 0 else time.monotonic() + timeout.nanoseconds / 1e9
+        while not (is_done := self._flow.is_acknowledged()) and time.monotonic() < until_s:
+            time.sleep(_POLL_S)
+        return is_done
 
     def destroy(self) -> None:
         """Destroy the publisher and all its writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""

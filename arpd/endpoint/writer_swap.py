@@ -188,6 +188,11 @@ class WriterSwap(Generic[W]):
         if self.state is SwapState.DOUBTING:
             self._doubt(now_s)
 
+    def is_acknowledged(self) -> bool:
+        """Return whether no reader waits for a sample of any writer."""
+        writers = [self._current, self._next, *(old.writer for old in self._draining)]
+        return all(writer is None or _is_served(writer) for writer in writers)
+
     def close(self) -> None:
         """Destroy every writer, even when one of them raises; nothing happens after that."""
         if self._is_closed:

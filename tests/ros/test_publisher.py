@@ -6,8 +6,10 @@ import re
 import signal
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
@@ -17,11 +19,12 @@ from std_msgs.msg import Float64MultiArray, String
 from arpd import AdaptivePublisher
 from arpd.endpoint.writer_swap import SwapTiming
 from arpd.govern.progress import is_confirmed
-from arpd.model.endpoints import RefusalReason, WriterQos
+from arpd.model.endpoints import Overflow, RefusalReason, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
+from arpd.ros.raw_reader import ReadingThread
 from arpd.ros.rcl import InvalidHandle
 from tests.ros.world import FREE, TERMS, Announced, Plans, costing, retune
 from tests.waiting import PATIENCE_S
@@ -120,23 +123,26 @@ def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, s
 
 
 def test_a_forked_process_that_shuts_rclpy_down_leaves_its_parent_alone(ros, eventually):
-    """It ends, although it has none of the threads; the parent hears prices as before."""
+    """It ends, although it has none of the threads, and the events that both have stay as they are."""
     talker = ros.elsewhere().idle_node("talker")  # an executor's thread could hold the lock of its context at the fork
     publisher = AdaptivePublisher(talker, String, TOPIC, 10)
-    sender = ros.idle_node("governor").create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-    eventually("the publisher listens", sender.get_subscription_count)
-    for _ in range(5):
-        child = os.fork()
-        if not child:
-            talker.context.shutdown()
-            os._exit(0)
-        try:
-            eventually("the child ends", lambda child=child: os.waitpid(child, os.WNOHANG) == (child, 0))
-        except AssertionError:
-            os.kill(child, signal.SIGKILL)
-            raise
-    price = Float64MultiArray(data=encode_price(costing(5.0)))
-    eventually("the price arrives", lambda: sender.publish(price) or publisher._flow.lane.price)
+    events = ReadingThread.of(talker.context)._events
+
+    def watched():
+        return re.findall(r"tfd: +(\d+)", Path(f"/proc/self/fdinfo/{events.fileno()}").read_text())
+
+    before = watched()
+    child = os.fork()
+    if not child:
+        talker.context.shutdown()
+        os._exit(0)
+    try:
+        eventually("the child ends", lambda: os.waitpid(child, os.WNOHANG) == (child, 0))
+    except AssertionError:
+        os.kill(child, signal.SIGKILL)
+        raise
+    assert len(before) >= len(publisher._shared._inboxes)
+    assert watched() == before
 
 
 def test_silence_ends_the_wait_for_a_plan_and_no_price(clock, publisher, send_price, eventually):
@@ -192,6 +198,23 @@ def test_a_topic_has_one_publisher_in_a_node(node, publisher):
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(node, String, TOPIC, 10)
     other.destroy()
+
+
+def test_who_waits_for_acknowledgements_waits_for_the_queue(ros, node, clock, eventually):
+    """What waits for its turn is not acknowledged: an application that has waited may destroy its publisher."""
+    heard = []
+    ros.node("listener").create_subscription(String, TOPIC, lambda message: heard.append(message.data), 10)
+    publisher = AdaptivePublisher(node, String, TOPIC, 10, overflow=Overflow.QUEUE, clock=clock)
+    eventually("the reader matches", lambda: publisher.publish(String(data="hello")) or heard)
+    retune(publisher, rate_hz=0.001, max_rate_hz=0.001)
+    for number in "0123456789":
+        publisher.publish(String(data=number))
+    assert not publisher.wait_for_all_acked(Duration(seconds=0))
+    retune(publisher, rate_hz=50.0, max_rate_hz=50.0)
+    assert publisher.wait_for_all_acked(Duration(seconds=int(PATIENCE_S)))
+    assert publisher.state().queued == 0
+    publisher.destroy()
+    eventually("all arrive", lambda: heard[-10:] == [*"0123456789"])
 
 
 def test_its_node_destroys_it_as_any_publisher(node, publisher):
