@@ -247,7 +247,7 @@ class Estimator:
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
         has_arrived = received <= parameters.OTHERS * most or self._queue_delay_s < parameters.IDLE_S
         # What leaves this host arrives at the peer: the same bytes count once.
-        busy, weight = self._local.busy_rate, self._look_weight
+        busy, weight = self._local.backlog.busy_rate, self._look_weight
         if busy is None and has_reports:
             busy, weight = self._peers.busy_rate or (delivered if stays and has_arrived else None), 1.0
         if busy:
@@ -299,7 +299,7 @@ class Estimator:
         if counters is None or not counters.is_up:
             return LinkState.OUTAGE
         believed, sent = self._stated.belief, self._local.sent_bytes_per_second()
-        busy, is_known = self._local.busy_rate, self._stated.kind is CapacityKind.LOCAL
+        busy, is_known = self._local.backlog.busy_rate, self._stated.kind is CapacityKind.LOCAL
         # Where a queue has shown the capacity, none shows that there is more.
         is_idle = is_known and counters.backlog_bytes == 0 and sent > parameters.USED * self._stated.capacity
         if busy is not None or is_idle:

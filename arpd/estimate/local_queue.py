@@ -95,25 +95,24 @@ class LocalQueue:
 
     Attributes
     ----------
+    backlog : bytes in the queue
     handed_bytes : bytes handed to the interface so far; None = unknown
-    busy_rate : capacity between the last two looks, None where the interface may have idled (bytes/s)
     backlog_s : queue that stood at every recent look (s)
     """
 
     def __init__(self) -> None:
-        self._backlog = StandingQueue()
+        self.backlog = StandingQueue()
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
         self._waits_here = False
         self.handed_bytes: float | None = None
-        self.busy_rate: float | None = None
         self.backlog_s = 0.0
 
     def update(self, counters: LinkCounters | None, now_s: float, *, burst_bytes: float, capacity: float) -> None:
         """Note the counters of the interface; `StandingQueue.delay_s` explains the other arguments."""
         if counters is None or not counters.is_up:
-            self._backlog.clear()
+            self.backlog.clear()
             self._sent.clear()
-            self.handed_bytes, self.busy_rate, self.backlog_s = None, None, 0.0
+            self.handed_bytes, self.backlog_s = None, 0.0
             return
         left_bytes = counters.tx_bytes - self._sent[-1][1] if self._sent else 0
         self._sent.append((now_s, counters.tx_bytes))
@@ -121,9 +120,8 @@ class LocalQueue:
             self._sent.popleft()
         backlog = counters.backlog_bytes or 0
         self._waits_here, self.handed_bytes = backlog > 0, counters.tx_bytes + backlog
-        self._backlog.note(Look(now_s, backlog, left_bytes))
-        self.busy_rate = self._backlog.busy_rate
-        self.backlog_s = self._backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
+        self.backlog.note(Look(now_s, backlog, left_bytes))
+        self.backlog_s = self.backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
 
     def sent_bytes_per_second(self, span_s: float = _SENT_WINDOW_S) -> float:
         """Return the rate at which bytes left the interface lately, 0 while unknown (bytes/s)."""
