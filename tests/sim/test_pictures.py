@@ -25,7 +25,7 @@ def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_bac
     result = Scenario(Settings(), RateSchedule.parse("0:20mbit"), LASTS_S, model=model, topics=TOPICS).play()
     camera, imu, _ = result.topics
     assert camera.received / LASTS_S > (1.5 if pushes_back else 0.8)
-    assert camera.latency_p99_s < 1.0
+    assert camera.latency_p99_s < 1.1  # of sixty, the oldest
     assert imu.lost == imu.withheld == 0
     assert imu.latency_p99_s < (0.08 if pushes_back else 0.15)
 
