@@ -139,6 +139,8 @@ class Estimator:
         """
         if self._is_pinned:
             return ()
+        if self._peers.is_in_doubt(now_s):
+            self._schedule.hurry()
         requests = tuple(
             self._schedule.wanted(
                 now_s,
