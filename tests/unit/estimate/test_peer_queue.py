@@ -165,15 +165,15 @@ def test_a_ping_that_stays_away_is_followed_by_one_more_until_a_queue_is_known()
         link.cycle()
     link.ping()
     link._waiting.clear()  # it is lost
-    assert not link.gauge.is_in_doubt(link.now_s + 0.2)
-    assert link.gauge.is_in_doubt(link.now_s + 0.3)
+    assert not link.gauge.is_in_doubt(link.now_s + 0.2, 0.05)
+    assert link.gauge.is_in_doubt(link.now_s + 0.3, 0.05)
     link.ping()
-    assert not link.gauge.is_in_doubt(link.now_s + 0.3)
+    assert not link.gauge.is_in_doubt(link.now_s + 0.3, 0.05)
     link.run(0.1)
     for _ in range(5):
         link.cycle(size=2 * 0.1 * RATE)
     link.ping()
-    assert not link.gauge.is_in_doubt(link.now_s + 0.6)
+    assert not link.gauge.is_in_doubt(link.now_s + 0.6, 0.05)
 
 
 def test_bytes_without_their_ping_are_a_queue_at_once():
