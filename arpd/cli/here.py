@@ -76,14 +76,10 @@ class Here:
             raise NotKnownError("ROS_DOMAIN_ID is no number")
         return listen(self.interface, domain_id, duration_s=self._options.listen)
 
-    def config_of(self, name: str) -> Path:
-        """Return the file that a unit reads; of one with the name of a robot, that robot's."""
-        return DEFAULT_CONFIG.parent / name.partition("@")[2] / DEFAULT_CONFIG.name
-
     def _read_configuration(self) -> None:
         """Read the file of the command line, else those of the units in use; raise where the former is a typo."""
         named, used = self._options.config, {name for name, unit in (self.units or {}).items() if unit.is_used}
-        needed = {self.config_of(name) for name in used - {"arpd-peer"}}  # which may have none
+        needed = {_file_of(name) for name in used - {"arpd-peer"}}  # which may have none
         paths = {named} if named is not DEFAULT_CONFIG else needed or {DEFAULT_CONFIG}
         for path in sorted(paths, reverse=True):  # the settings stay those of the first
             is_missed = not os.access(path, os.F_OK) and (path in needed or path != DEFAULT_CONFIG)
@@ -128,3 +124,8 @@ class Here:
             if name and index_of(name) is not None:
                 return name
         return (self.other_end and interface_to(self.other_end)) or likeliest_interface() or ""
+
+
+def _file_of(unit: str) -> Path:
+    """Return the configuration that a unit reads; of one with the name of a robot, that robot's."""
+    return DEFAULT_CONFIG.parent / unit.partition("@")[2] / DEFAULT_CONFIG.name

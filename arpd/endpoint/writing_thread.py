@@ -204,7 +204,7 @@ class WritingThread:
         if lane.is_closing:
             raise InvalidHandle("cannot publish because the publisher is destroyed")
         if self._is_deciding:
-            self._late.append(partial(self._queue.offer, lane, message, now_s, source=source))
+            self._decide(partial(self._queue.offer, lane, message, now_s, source=source))
             return None
         if (sample := self._decide(lambda: self._take_now(lane, message, now_s, source))) is None:
             self._wake_for_queue()
@@ -253,9 +253,10 @@ class WritingThread:
             self._changed.notify()
 
     def _wake_for_queue(self) -> None:
+        if self._is_deciding:
+            return  # its end wakes the thread
         if self._queue.is_waiting and self._next_s > (now_s := self._clock()) + SOON_S:
-            due_s = self._decide(lambda: self._queue.due_s(now_s))
-            self._wake(0.0 if due_s is None else due_s)
+            self._wake(self._decide(lambda: self._queue.due_s(now_s)) or 0.0)
 
     def _run(self) -> None:
         while not self._is_stopping and self._is_alive():

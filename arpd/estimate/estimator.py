@@ -139,7 +139,7 @@ class Estimator:
         """
         if self._is_pinned:
             return ()
-        if self._loss.ratio(now_s) and self._peers.is_in_doubt(now_s, self._queue_low_s):
+        if self._peers.is_in_doubt(now_s, self._queue_low_s) and self._loss.ratio(now_s):
             self._schedule.hurry()
         requests = tuple(
             self._schedule.wanted(
