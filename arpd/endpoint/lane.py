@@ -225,7 +225,7 @@ class Lane:
             return
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
         if self.is_kept and not self._is_ordered and self._cap.due_s(now_s) > now_s:
-            most = 1  # a latched topic has its configured rate, and comes more often: what waits would grow for ever
+            most = 1  # its source is faster than its configured rate, so what waits would only grow
         if most == 1 and not is_out and all(len(each.message) <= SMALL_BYTES for each in line):
             most = self._most_small(len(line), now_s)
         while len(line) > most:

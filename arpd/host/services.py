@@ -82,7 +82,7 @@ def used_on_base(units: Mapping[str, ServiceState]) -> list[str]:
 def _state_of(properties: dict[str, str]) -> ServiceState:
     code = properties.get("ExecMainStatus", "")
     has_exited = properties.get("ExecMainCode") == "1"  # CLD_EXITED
-    # A start by hand begins the count anew. systemd 254 and newer have auto-restart-queued, too.
+    # A manual start resets the count. systemd 254 and newer also have the state auto-restart-queued.
     is_again = properties.get("SubState", "").startswith("auto-restart") or properties.get("NRestarts", "0") != "0"
     return ServiceState(
         is_installed=properties.get("LoadState") not in {None, "not-found"},

@@ -225,7 +225,7 @@ class ReadingThread:
                 time.sleep(self._rest_s)
 
     def _is_over(self) -> bool:
-        if not self._is_alive():  # after a signal rclpy calls nobody who asked to be told of a shutdown
+        if not self._is_alive():  # after a signal rclpy runs no `on_shutdown` callback
             for reader in tuple(self._readers.values()):
                 reader.destroy()  # it would keep the participant
             if not self._is_stopping:

@@ -87,10 +87,10 @@ def test_nonsense_is_refused_with_a_reason(node, announced, send, eventually, ro
 
 
 def test_what_a_relay_has_carried_is_counted_when_it_is_told(node, announced, eventually):
-    """Each snapshot asks the relay anew: an older count would look like traffic of others on the link."""
+    """Each snapshot asks the relay again: an older count would look like cross traffic."""
     carried = count(1)
     NodePublishers.of(node).relay = lambda: RelaySummary(link_bytes=next(carried))
-    eventually("two are told", lambda: len(announced.link_bytes) > 1)
+    eventually("two snapshots arrive", lambda: len(announced.link_bytes) > 1)
     assert announced.link_bytes[1] > announced.link_bytes[0]
 
 

@@ -84,7 +84,8 @@ class End:
         self._is_shared = False  # whether both ends are in one domain
         self._others: list[str] = []  # nodes in the link domain that are not arpd's
         self._there = NOBODY  # the other end's state that this end follows
-        self._fault = self._logged = ""  # of the other end's messages; the last one of the other end in the log
+        self._fault = ""  # of the other end's messages
+        self._logged = ""  # the last fault of the other end that the log has
         self._arrived: deque[bytes | int] = deque(maxlen=1000)  # states, and the sessions of signs of life
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
@@ -290,7 +291,7 @@ class End:
             self._on_change(status)
         if not self._is_far:
             told, queue = NodePublishers.of(self._link_node), self.link.queue
-            # Counted when it is told: the daemon compares it with what the interface carried until then.
+            # Read at the last moment: the daemon compares it with what the interface has carried by then.
             told.relay = lambda: replace(relay, link_bytes=queue.link_bytes)
             if is_news:
                 told.hurry()

@@ -151,7 +151,7 @@ def test_a_latched_history_needs_no_rate_but_the_configured_one(most_hz, within_
 
 
 def test_a_latched_topic_that_comes_above_its_configured_rate_stays_new():
-    """Else what waits would grow for ever, and each sample be older than the one before."""
+    """Older samples give way to newer ones, so the backlog does not grow."""
     lane = Lane(lambda _sample: None, depth=1000, is_kept=True)
     lane.retune(TopicPlan(rate_hz=2.0, min_rate_hz=1.0, deadline_ns=0, depth=1, max_rate_hz=2.0), None)
     departures = play(lane, every(3.0, "a"))

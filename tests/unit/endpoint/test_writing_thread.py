@@ -56,7 +56,7 @@ def test_a_price_for_many_lanes_wakes_the_thread_and_asks_nobody(monkeypatch):
 
 
 def test_who_publishes_all_the_time_cannot_keep_a_lane():
-    """To destroy a publisher waits for one write at most, and who goes on publishing is told so."""
+    """Destroying a publisher waits for one write at most, and a later publish raises InvalidHandle."""
     thread, lane = make(), Lane(lambda _sample: time.sleep(0.001))
     thread.add(lane)
 

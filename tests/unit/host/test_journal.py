@@ -166,7 +166,7 @@ def root():
 
 
 def test_entries_of_one_robots_unit_have_its_name(journal, root, tmp_path):
-    """The far ends of several robots are told apart; systemd names the unit by its folder in /run."""
+    """The journal distinguishes the far ends of several robots, by the folder in /run that systemd names."""
     with (tmp_path / "stderr").open("w+") as stderr:
         status = os.fstat(stderr.fileno())
         environ = {
