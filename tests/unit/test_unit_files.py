@@ -140,6 +140,15 @@ def test_the_launcher_becomes_arpd(tmp_path, launch):
     assert process.returncode == 69
 
 
+def test_a_request_to_reload_during_the_start_does_not_end_it(tmp_path, launch):
+    """The configuration is read later; SIGHUP would end the process until Python handles it."""
+    arpd = tmp_path / "starting"
+    arpd.write_text("#!/bin/sh\nkill -HUP $$\necho alive\n")
+    arpd.chmod(0o755)
+    process, output, _ = launch("run", ARPD_ROS_SETUP="", ARPD_BIN=str(arpd))
+    assert (process.returncode, output) == (0, ["alive"])
+
+
 @pytest.mark.parametrize(("name", "way_out"), [("ARPD_ROS_SETUP", "/etc/default/arpd"), ("ARPD_BIN", "arpd-ros")])
 def test_a_missing_setup_file_or_arpd_is_a_configuration_error(tmp_path, launch, name, way_out):
     """The launcher ends with 78, and says the way out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -83,7 +84,8 @@ class YamlSource:
         except yaml.MarkedYAMLError as error:
             wrong = printable(", ".join(filter(None, (error.context, error.problem))), longest=200)
             place = _place(error.problem_mark or error.context_mark)
-            raise self._refusal("yaml", f"{wrong}; {error.note or 'correct the YAML here'}", place) from None
+            usual = "indent with spaces, not with tabs" if r"'\t'" in wrong else "correct the YAML here"
+            raise self._refusal("yaml", f"{wrong}; {error.note or usual}", place) from None
         except (ValueError, OverflowError, RecursionError):
             # PyYAML converts some numbers unchecked: "\UFFFFFFFF", %YAML 1.<5,000 digits>.
             wrong = "is nested too deeply, or holds a number out of range; correct the YAML here"
@@ -117,7 +119,9 @@ class YamlSource:
 def read_bounded(path: Path) -> bytes:
     """Return what a file holds, or raise ValueError with ``what is wrong; what would be right``."""
     try:
-        with path.open("rb") as file:
+        # O_NONBLOCK: a FIFO without a writer would hold the daemon up for ever.
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+            os.set_blocking(file.fileno(), True)
             raw = file.read(_MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         why = getattr(error, "strerror", None) or error

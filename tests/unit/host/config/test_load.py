@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
+from threading import Thread
 
 import pytest
 import yaml
@@ -11,7 +13,7 @@ import yaml
 from arpd.host.config.keys import SCHEMA, SECTIONS, flatten, spelled
 from arpd.host.config.load import load_settings
 from arpd.model.errors import ConfigError
-from arpd.model.settings import Policy, Preferences, Settings
+from arpd.model.settings import OnStop, Policy, Preferences, Settings
 
 SHIPPED = Path(__file__).parents[4] / "etc" / "arpd" / "arpd.yaml"
 AT_START = ("link.interface", "http.", "relay.")  # keys that are read at start only; `test_reload` tries one of each
@@ -249,6 +251,7 @@ ONE_FAULT = [
     ("link: [1\n", "2:1: yaml", "correct the YAML here"),
     ("a: b\nc: \x07", "2:4: yaml", "a character here is not allowed"),
     (b"link: {}\non_stop: \xff", "2:10: yaml", "is not UTF-8"),
+    ("link:\n\theadroom: 0.5\n", "2:1: yaml", "indent with spaces, not with tabs"),
     ("link: &a {}\n", "1:7: yaml", "anchors, aliases and tags are not allowed"),
     ("#" * (2**19 + 1), "1:1: file", "larger than 512 KiB"),
     ('on_stop: "\\UFFFFFFFF"', "1:13: yaml", "a number out of range"),
@@ -314,6 +317,20 @@ def test_a_file_that_cannot_be_read_is_one_line(tmp_path, path, wrong):
     assert len(refused.value.faults) == 1
     assert wrong in refused.value.faults[0]
     assert "\n" not in refused.value.faults[0]
+
+
+def test_a_fifo_is_read_as_a_file_and_holds_nobody_up(tmp_path):
+    """A shell's `<(command)` is read to its end; without a writer the daemon would never reload again."""
+    fifo = tmp_path / "arpd.yaml"
+    os.mkfifo(fifo)
+    with pytest.raises(ConfigError, match="is empty"):
+        load_settings(fifo, interfaces=None)
+    writer = Thread(target=fifo.write_text, args=("on_stop: keep\n",))
+    writer.start()
+    # What the shell names is open at both ends.
+    with fifo.open("rb") as opened:
+        assert load_settings(Path(f"/dev/fd/{opened.fileno()}"), interfaces=None).on_stop is OnStop.KEEP
+    writer.join()
 
 
 def test_the_policy_is_one_of_two(load):
