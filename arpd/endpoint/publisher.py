@@ -8,10 +8,10 @@ import time
 from contextlib import suppress
 from copy import copy
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rclpy.duration import Duration
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.node_publishers import NodePublishers
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.node import Node
+    from rclpy.qos import QoSProfile
     from rclpy.qos_overriding_options import QoSOverridingOptions
 
     from arpd.endpoint.writer_swap import SwapTiming
@@ -57,7 +58,8 @@ class AdaptivePublisher:
     event_callbacks : as in `Node.create_publisher`. They are called for the writer in force only, never for one that a
         swap prepares or retires; the counts in the events start again with every swap
     qos_overriding_options : as in `Node.create_publisher`; depth and deadline need not be named
-    overflow : which samples are withheld when they come faster than the paced rate
+    overflow : of samples that come faster than the paced rate ``"latest"`` keeps the newest, ``"queue"`` the last
+        ``depth`` in their order
     swap_timing : timeouts of a swap; the defaults suit a link that loses one packet in ten
 
     Attributes
@@ -73,8 +75,9 @@ class AdaptivePublisher:
 
     Raises
     ------
-    ValueError
-        If the node already has an AdaptivePublisher on the topic, or if an override is out of bounds.
+    ValueError, TypeError
+        As of `Node.create_publisher`; if the node already has an AdaptivePublisher on the topic; if ``overflow`` is
+        another word, or an override is out of bounds.
     """
 
     def __init__(
@@ -87,7 +90,7 @@ class AdaptivePublisher:
         callback_group: Any = None,
         event_callbacks: PublisherEventCallbacks | None = None,
         qos_overriding_options: QoSOverridingOptions | None = None,
-        overflow: Overflow = Overflow.LATEST,
+        overflow: Overflow | Literal["latest", "queue"] = Overflow.LATEST,
         swap_timing: SwapTiming | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -95,7 +98,7 @@ class AdaptivePublisher:
         self.topic = topic
         self.event_handlers: tuple[()] = ()
         # A copy, so that later changes of the application's profile do not reach the next writer.
-        own = QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else copy(qos_profile)
+        own = copy(node._validate_qos_or_depth_parameter(qos_profile))  # noqa: SLF001 - the faults of create_publisher
         self.topic_name: str = node.resolve_topic_name(topic)
         self.qos_profile = overridden(node, self.topic_name, own)
         self._requests = Requests(node, self.topic_name)
@@ -108,7 +111,7 @@ class AdaptivePublisher:
         self._flow = Flow(
             create=self._create_writer,
             qos=self.baseline,
-            overflow=overflow,
+            overflow=Overflow(overflow),
             clock=clock,
             on_swap=self._on_swap,
             on_held=lambda: self._thread.wake(self),

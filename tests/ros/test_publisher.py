@@ -207,6 +207,31 @@ def test_who_waits_for_acknowledgements_waits_for_the_queue(ros, node, clock, ev
     eventually("all arrive", lambda: heard[-10:] == [*"0123456789"])
 
 
+def test_overflow_takes_the_word_of_the_manual(node, clock):
+    """`overflow="queue"` keeps what waits, as `Overflow.QUEUE` does."""
+    publisher = AdaptivePublisher(node, String, TOPIC, 10, overflow="queue", clock=clock)
+    retune(publisher, rate_hz=0.001, max_rate_hz=0.001)
+    for number in "0123456789":
+        publisher.publish(String(data=number))
+    assert publisher.state().withheld == 0
+    publisher.destroy()
+
+
+@pytest.mark.parametrize(
+    ("qos", "overflow", "fault", "words"),
+    [
+        (-1, "latest", ValueError, "depth must be greater than or equal to zero"),
+        ("10", "latest", TypeError, "Expected QoSProfile or int"),
+        (10, "oldest", ValueError, "'oldest' is not a valid Overflow"),
+    ],
+)
+def test_a_wrong_argument_is_refused_by_name(node, qos, overflow, fault, words):
+    """As `create_publisher` does; and no writer stays."""
+    with pytest.raises(fault, match=words):
+        AdaptivePublisher(node, String, TOPIC, qos, overflow=overflow)
+    assert not writers_of(node)
+
+
 def test_its_node_destroys_it_as_any_publisher(node, publisher):
     """`destroy_publisher` ends it once, and what is called then fails as with rclpy; so it does after a shutdown."""
     assert node.destroy_publisher(publisher)
