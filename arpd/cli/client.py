@@ -30,6 +30,7 @@ _DEADLINE_S = 3.0  # of a whole answer
 _MOST_BYTES = 16 * 2**20
 _LONGEST = 400  # characters of a text
 _LARGEST = 2**63  # counts beyond it are nonsense
+_NOT_NOW = {9, 10}  # X509_V_ERR_CERT_NOT_YET_VALID, X509_V_ERR_CERT_HAS_EXPIRED: x509_vfy.h
 
 
 class Daemon:
@@ -208,7 +209,8 @@ def _shown(part: Any) -> Any:
 
 def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     if isinstance(error, ssl.SSLCertVerificationError):
-        why = f"the certificate of {url} is not trusted ({error.verify_message}); name its CA with --cacert"
+        hint = "compare the clocks of both computers" if error.verify_code in _NOT_NOW else "name its CA with --cacert"
+        why = f"the certificate of {url} is not trusted ({error.verify_message}); {hint}"
     elif isinstance(error, ssl.SSLError):
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
     elif isinstance(error, (OSError, HTTPTimeoutError)) and not isinstance(error, ConnectionResetError):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.host.notify import Notifier, Watchdog
+from arpd.ros.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -117,7 +118,8 @@ class Supervisor:
         self._reading: Future[Settings] | None = None
         self._is_ready = False
         self._status = ""
-        self._failure = ""
+        self._logged = OncePerMinute()
+        self._is_failing = False  # as the log says
         self._said_counted = 0  # as in `Record`, when the status was last made
 
     def run(self) -> None:
@@ -163,15 +165,17 @@ class Supervisor:
 
     def _note_failure(self, error: Exception) -> None:
         self._daemon.record.note_failed_tick()
-        if (failure := type(error).__name__) != self._failure:
-            self._failure, self._said_counted = failure, -1
-            log.error("a tick failed; the publishers keep their plan", exc_info=error)
-            self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
+        failure = type(error).__name__
+        if self._logged.take(failure, time.monotonic()):
+            self._is_failing = True
+            log.error("a tick failed; the publishers keep their plan (logged once a minute)", exc_info=error)
+        self._said_counted = -1
+        self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
 
     def _note_success(self) -> None:
-        if self._failure:
+        if self._is_failing:
             log.info("ticks succeed again")
-            self._failure = ""
+            self._is_failing = False
         if not self._is_ready:
             self._is_ready = True
             self._notifier.ready()  # units that wait for the start find a daemon that has observed its world

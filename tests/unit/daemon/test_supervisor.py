@@ -174,6 +174,15 @@ def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
     assert caplog.records[0].exc_info is not None
 
 
+def test_a_fault_of_every_other_tick_does_not_fill_the_journal(signals, caplog):
+    """A fault that comes and goes is logged once a minute, with its end."""
+    caplog.set_level("INFO")
+    daemon: Any = Daemon(signals, *20 * [fail, nothing])
+    run(daemon, signals)
+    assert daemon.failed == 20
+    assert [record.levelno for record in caplog.records] == [logging.ERROR, logging.INFO]
+
+
 # -- stop
 
 

@@ -5,6 +5,7 @@ import json
 import random
 import socket
 import ssl
+import subprocess
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -108,6 +109,15 @@ def test_status_reads_a_protected_daemon(folder, status, sample_snapshot, monkey
         assert status(url, "--cacert", str(folder / "no.crt"))[0] == 2
         code, _, err = status(url.replace("https", "http"))
         assert (code, "write https://" in err) == (3, True)
+
+
+def test_status_names_the_clocks_where_a_certificate_is_not_valid_now(folder, status):
+    """A robot that boots in 1970 takes every certificate for one of the future; its CA would change nothing."""
+    again = ["openssl", "x509", "-in", "server.crt", "-signkey", "server.key", "-days", "-1", "-out", "expired.crt"]
+    subprocess.run(again, cwd=folder, check=True, capture_output=True)
+    with running(folder, TLS.replace("server.crt", "expired.crt")) as world:
+        code, _, err = status(world.server.url, "--cacert", str(folder / "expired.crt"))
+        assert (code, "compare the clocks of both computers" in err, "--cacert" in err) == (3, True, False)
 
 
 def test_status_gives_its_password_to_nobody_else(folder, status):
