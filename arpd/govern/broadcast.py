@@ -31,7 +31,10 @@ class Broadcast:
                 return False
             message_s = _MESSAGE_BYTES / price.capacity_bytes_per_second
             level, before = _level(price), _level(self._sent)
-            usual_s = 0.0 if level > (1.0 + _URGENT) * before else min(_USUAL_PAUSE_S, message_s / _SHARE)
+            # Beside a capacity that falls, a price rises with a queue that drained for a moment.
+            has_fallen = price.capacity_bytes_per_second < self._sent.capacity_bytes_per_second
+            leaps = level > (1.0 + _URGENT) * before and not has_fallen
+            usual_s = 0.0 if leaps else min(_USUAL_PAUSE_S, message_s / _SHARE)
             if since_s < max(usual_s, message_s / _MOST_SHARE) and level >= (1.0 - _URGENT) * before:
                 return False
         self._sent, self._sent_s = price, now_s

@@ -22,10 +22,11 @@ LASTS_S = 30.0
 def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_back):
     """On either kind of bottleneck pictures arrive, as old as the link makes them, and no sample of the IMU is lost."""
     model = LinkModel(pushes_back=pushes_back)
-    result = Scenario(Settings(), RateSchedule.parse("0:20mbit"), LASTS_S, model=model, topics=TOPICS).play()
+    lasts_s = 60.0  # 120 pictures: the 99th percentile leaves out the last, which no later one helps over its losses
+    result = Scenario(Settings(), RateSchedule.parse("0:20mbit"), lasts_s, model=model, topics=TOPICS).play()
     camera, imu, _ = result.topics
-    assert camera.received / LASTS_S > (1.5 if pushes_back else 0.8)
-    assert camera.latency_p99_s < 1.1  # of sixty, the oldest
+    assert camera.received / lasts_s > (1.5 if pushes_back else 0.8)
+    assert camera.latency_p99_s < 1.0
     assert imu.lost == imu.withheld == 0
     assert imu.latency_p99_s < (0.08 if pushes_back else 0.15)
 

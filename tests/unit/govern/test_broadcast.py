@@ -36,6 +36,13 @@ def test_a_step_waits_for_no_pause():
     }
 
 
+def test_a_leap_on_a_link_that_falls_waits():
+    """Where the capacity falls, a price that leaps because a queue drained waits for a tenth of a second."""
+    usual = replace(PRICE, capacity_bytes_per_second=625e3)
+    leap = replace(usual, share_per_weight=0.2, capacity_bytes_per_second=0.9 * 625e3)
+    assert sent([usual, *[leap] * 8], tick_s=0.03) == [0, 4]
+
+
 def test_a_slow_link_is_not_filled_with_prices():
     """On a link of 8 kbit/s small changes wait for a second, and a deep fall does not."""
     slow = replace(PRICE, capacity_bytes_per_second=1e3)
