@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.model.relay import RelaySummary, RelayTopics
+from arpd.ros.names import is_arpds
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -12,10 +13,14 @@ if TYPE_CHECKING:
     from arpd.relay.ends.offers import EndState
 
 MOST_NAMED = 3  # in one part of the line
+ONE_DOMAIN = (
+    "both ends are in one ROS domain and see each other there; give the two sides different ROS_DOMAIN_IDs, or "
+    "nodes and ends ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, no ROS_STATIC_PEERS and no shared ROS_DISCOVERY_SERVER"
+)
 
 
 def topics_of(sender: EndState, receiver: EndState) -> RelayTopics:
-    """Return the topics of one direction.
+    """Return the topics of one direction; those that only arpd's nodes write are none that a user waits for.
 
     An end mostly refuses what would enter its side; only a name that nobody offers there has to leave it.
     """
@@ -23,19 +28,18 @@ def topics_of(sender: EndState, receiver: EndState) -> RelayTopics:
     leaving = {*receiver.topics, *receiver.services}
     refused = {name: reason for name, reason in sender.refused.items() if name not in leaving}
     refused |= {name: reason for name, reason in receiver.refused.items() if name in entering}
-    return RelayTopics(offered=len(sender.topics), wanted=len(sender.topics.keys() & receiver.wants), refused=refused)
+    wanted = sender.topics.keys() & receiver.wants
+    users = {name for name, offer in sender.topics.items() if not all(is_arpds(each.node) for each in offer.writers)}
+    return RelayTopics(offered=len(users | wanted), wanted=len(wanted), refused=refused)
 
 
-def status_line(
-    relay: RelaySummary, *, is_far: bool, is_met: bool, is_shared: bool, second_ends: Collection[str]
-) -> str:
+def status_line(relay: RelaySummary, *, is_far: bool, is_met: bool, second_ends: Collection[str]) -> str:
     """Return one line for ``systemctl status``.
 
     Parameters
     ----------
     is_far : whether this is the base computer's end
     is_met : whether it knows the other end
-    is_shared : whether both ends are in one ROS domain
     second_ends : hosts of further ends on the other side
     """
     here, there, leaving, entering = "robot", "base computer", relay.to_base, relay.to_robot
@@ -45,11 +49,6 @@ def status_line(
         return f"the {there}'s end cannot be used: {relay.fault}"
     if not is_met:
         return f"waiting for the {there}'s end; {leaving.offered} topics of the {here} could cross"
-    if is_shared:
-        return (
-            "nothing crosses: both ends are in one ROS domain and see each other there; give the two sides different "
-            "ROS_DOMAIN_IDs, or the ends ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
-        )
     line = (
         f"{leaving.wanted} of {leaving.offered} topics cross to the {there}, "
         f"{entering.wanted} of {entering.offered} to the {here}"

@@ -33,7 +33,8 @@ def topics(snapshot: Snapshot) -> str:
         return _of_two_ends(observation.relay)
     if settings.relay.topics:
         names = listed([settings.relay.prefix + name for name in settings.relay.topic_names])
-        return f"the relay does not publish {names} yet; start arpd-relay, and the nodes whose topics it carries"
+        start = f"start arpd-relay, and the nodes whose topics it carries{_where(snapshot)}"
+        return f"the relay does not publish {names} yet; {start}"
     where, file = _where(snapshot), snapshot.config_path or "the configuration"
     if settings.topics:
         names = listed([topic.name for topic in settings.topics])
@@ -91,8 +92,8 @@ def _of_two_ends(relay: RelaySummary | None) -> str:
         could = f"the relay could carry {count(offered, 'topic')}, and no node on the other side reads one"
         return f"{could}; start a reader there; {_LIST}"
     return (
-        "the relay finds no topic on either side; start your nodes in the ROS_DOMAIN_ID and with the "
-        "ROS_AUTOMATIC_DISCOVERY_RANGE of /etc/default/arpd"
+        "the relay finds no topic on either side; start your nodes with the ROS_DOMAIN_ID, "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE and FASTDDS_BUILTIN_TRANSPORTS of /etc/default/arpd"
     )
 
 

@@ -21,6 +21,11 @@ MOST_LEASE_S = 1e9
 _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
+def is_arpds(node: str) -> bool:
+    """Return whether a node, by its full name, is one of arpd's processes."""
+    return node.startswith("/arpd")
+
+
 def is_full_name(name: str) -> bool:
     """Return whether ROS allows this as the full name of a topic; arpd takes no longer one of a node, either."""
     return len(name) <= LONGEST_NAME and _FULL_NAME.fullmatch(name) is not None

@@ -121,7 +121,7 @@ class ProbeStatus:
     def __init__(self, task: str, *, tell: Callable[[str], None]) -> None:
         self._task, self._tell = task, tell
         self._has_probes = False
-        tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS_DOMAIN_ID")
+        tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS domain")
 
     def update(self, probed_s: float) -> None:
         """Tell the line again if it has changed since the last probe (monotonic clock, s)."""

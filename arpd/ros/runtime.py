@@ -30,6 +30,7 @@ FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
+_RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
@@ -40,15 +41,18 @@ _LOAD_PROFILE = "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager13loadXMLStri
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
     """Give Fast DDS arpd's profile, unless the user has chosen another one than arpd's, and the sight of all topics."""
     chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
-    if all(_is_ours(Path(path)) for path in chosen):
+    if not any(_is_another(Path(path)) for path in chosen):
         for name in PROFILE_VARIABLES:
             environment.pop(name, None)
         environment[PROFILE_VARIABLES[0]] = str(profile)
     if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
         environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
     if profile in {TWO_ENDED_PROFILE, DAEMON_PROFILE}:
+        if environment.pop("ROS_LOCALHOST_ONLY", "") == "1":  # its older name; it would confine the link's node, too
+            environment[_RANGE] = "LOCALHOST"
+            environment.pop(_PEERS, None)
         # Else, where both sides have one domain, the ends would meet there and announce all their ghosts on the link.
-        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        environment.setdefault(_RANGE, "LOCALHOST")
 
 
 def write_for_this_host(environment: Mapping[str, str] = os.environ) -> None:
@@ -59,17 +63,20 @@ def write_for_this_host(environment: Mapping[str, str] = os.environ) -> None:
     writers keep the profile of the process: it loses nothing either, and costs more.
     """
     is_ours = environment.get(PROFILE_VARIABLES[0]) == str(TWO_ENDED_PROFILE)
-    if is_ours and environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
+    if is_ours and environment.get(_RANGE) == "LOCALHOST":
         with suppress(OSError, AttributeError):
             load = ctypes.CDLL("librmw_fastrtps_cpp.so")[_LOAD_PROFILE]
             profile = _GHOSTS_PROFILE.read_bytes()
             load(profile, ctypes.c_size_t(len(profile)))
 
 
-def _is_ours(path: Path) -> bool:
-    """Return whether this is arpd's profile for the user's nodes, which an environment for everything may name."""
+def _is_another(path: Path) -> bool:
+    """Return whether this is another profile than arpd's for the user's nodes, which an environment for all may name.
+
+    A file that this process cannot read is no choice: Fast DDS goes on without any.
+    """
     try:
-        return path.read_bytes() == FASTDDS_PROFILE.read_bytes()
+        return path.read_bytes() != FASTDDS_PROFILE.read_bytes()
     except OSError:
         return False
 
@@ -161,10 +168,12 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
         yield
         return
     peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
-    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": peers}
+    own = {_RANGE: "SUBNET", _PEERS: peers}
     before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
     environment.update(own)
     environment.pop(_SERVER, None)  # the robot's discovery server is in its own domain, and knows nothing of the link
+    if environment.get(_VARIABLE, "").startswith("SHM"):  # which suits the nodes around, and leaves no host
+        environment[_VARIABLE] = "UDPv4"
     send_without_waiting(environment)
     try:
         yield

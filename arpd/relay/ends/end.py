@@ -30,9 +30,10 @@ from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.envelope import WRAP
 from arpd.relay.partner import Partner
 from arpd.relay.selection import Side
-from arpd.relay.status import MOST_NAMED, status_line, topics_of
+from arpd.relay.status import MOST_NAMED, ONE_DOMAIN, status_line, topics_of
 from arpd.ros.cdr import octets
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
+from arpd.ros.names import is_arpds
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.ros.rcl import Outlet, no_publisher_events
 
@@ -214,14 +215,15 @@ class End:
     def _follow(self, state: EndState) -> None:
         """Do what the newest state of the other end asks."""
         before, self._there = self._there, state
-        # In one domain, its ghosts would be in this graph, too.
         self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
         if state.session != before.session:
             self.link.follow(state.session, state.link_gids)
             self.outgoing.forget_latched()
             if state is not NOBODY:
                 log.info("the other end is %s (arpd %s), session %08x", state.host, state.arpd, state.session)
-        self.incoming.follow(state.topics, partial(self._reason_against, announced=self._announced.recent()))
+        # In one domain, its ghosts would be in this graph, too.
+        topics = {} if self._is_shared else state.topics
+        self.incoming.follow(topics, partial(self._reason_against, announced=self._announced.recent()))
         self.outgoing.follow(frozenset() if self._is_shared else state.wants)
         types = {
             name: f"it has more than one type here: {', '.join(each)}"
@@ -238,8 +240,6 @@ class End:
 
     def _reason_against(self, name: str, offer: TopicOffer, *, announced: Collection[str]) -> str:
         """Return why a topic of the other side does not enter here; empty if it does."""
-        if self._is_shared:
-            return "both ends are in one ROS domain"
         if not self._side.may_enter(name):
             return "the configuration of this end does not let it in; give both ends one file"
         here = {writer.gid.hex() for writer in self._view.writers(self._side.local_name(name))}
@@ -283,7 +283,6 @@ class End:
             relay,
             is_far=self._is_far,
             is_met=self._there is not NOBODY,
-            is_shared=self._is_shared,
             second_ends=self._partner.others(now_s),
         )
         is_news, self._status = status != self._status, status
@@ -300,6 +299,8 @@ class End:
         here, there, fault = self._told, self._there, self._fault
         if there is NOBODY and (hosts := self._partner.elsewhere(now_s)):
             fault = f"that of {', '.join(hosts)} serves another robot; give each robot a relay.link_domain of its own"
+        if self._is_shared:
+            fault = ONE_DOMAIN
         robot, base = (there, here) if self._is_far else (here, there)
         return RelaySummary(
             other_host=there.host,
@@ -315,9 +316,9 @@ class End:
 
     def _nodes_of_others(self) -> list[str]:
         self._link_view.look()
-        names = {writer.node.removeprefix("/") for writer in self._link_view.writers(ON_EVERY_NODE)}
-        names -= {"", self._link_node.get_name()}
-        return sorted(name for name in names if not name.startswith("arpd"))[:MOST_NAMED]
+        nodes = {writer.node for writer in self._link_view.writers(ON_EVERY_NODE) if not is_arpds(writer.node)}
+        names = {node.removeprefix("/") for node in nodes} - {"", self._link_node.get_name()}
+        return sorted(names)[:MOST_NAMED]
 
     def _hear_sign(self, sample: Sample) -> None:
         with suppress(ValueError):  # of another version, which its state says, too

@@ -14,7 +14,7 @@ from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
 from arpd.model.probing import ClockOffset
 from arpd.model.relay import RelaySummary, RelayTopics
-from arpd.relay.status import status_line
+from arpd.relay.status import ONE_DOMAIN, status_line
 
 
 def health(check, *arguments, **options):
@@ -95,7 +95,7 @@ SERVED = RelaySummary(is_reachable=True, to_base=RelayTopics(offered=3, wanted=2
 
 
 def far_line(relay, **about):
-    return status_line(relay, is_far=True, **{"is_met": True, "is_shared": False, "second_ends": (), **about})
+    return status_line(relay, is_far=True, **{"is_met": True, "second_ends": (), **about})
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def far_line(relay, **about):
         ("nothing to do: relay.link_domain is not set in /etc/arpd/arpd.yaml", "fine"),
         ("", "fine"),
         (far_line(SERVED, is_met=False), "wrong"),
-        (far_line(SERVED, is_shared=True), "wrong"),
+        (far_line(replace(SERVED, fault=ONE_DOMAIN)), "wrong"),
         (far_line(SERVED, second_ends=("robot2",)), "wrong"),
         (far_line(replace(SERVED, is_reachable=False)), "wrong"),
         (far_line(replace(SERVED, fault="it is of arpd 0.0.9")), "wrong"),

@@ -22,13 +22,13 @@ OURS = OWN_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
 def test_a_profile_of_the_users_own_stays(name, tmp_path):
-    """A profile that the user has chosen is not replaced, also if it is missing."""
-    for content in ("<dds/>", None):
-        path = tmp_path / "own.xml"
-        path.unlink(missing_ok=True) if content is None else path.write_text(content)
-        environment = {name: str(path)}
-        prepare_environment(OWN_PROFILE, environment)
-        assert environment == {name: str(path)}
+    """A profile that the user has chosen is not replaced, unless Fast DDS could not read it either."""
+    path = tmp_path / "own.xml"
+    for content, used in ((None, OWN_PROFILE), ("<dds/>", path)):
+        if content:
+            path.write_text(content)
+        prepare_environment(OWN_PROFILE, environment := {name: str(path)})
+        assert [*environment.values()] == [str(used)]
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
@@ -48,6 +48,14 @@ def test_two_ends_stay_on_their_host_unless_told_otherwise():
     for before, after in (({}, "LOCALHOST"), ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "SUBNET")):
         prepare_environment(TWO_ENDED_PROFILE, environment := dict(before))
         assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == after
+
+
+def test_nodes_confined_by_the_older_variable_do_not_confine_the_link():
+    """ROS_LOCALHOST_ONLY overrides range and peers of every domain, so it becomes the range of the local one."""
+    before = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "10.0.0.2"}
+    prepare_environment(TWO_ENDED_PROFILE, environment := dict(before))
+    environment = {name: value for name, value in environment.items() if name.startswith("ROS")}
+    assert environment == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
@@ -142,3 +150,12 @@ def test_the_link_s_participant_has_no_discovery_server_of_the_robot():
         assert "ROS_DISCOVERY_SERVER" not in environment
         assert environment["ROS_STATIC_PEERS"] == "127.0.0.1;10.0.0.2"
     assert environment == before
+
+
+@pytest.mark.parametrize(("nodes", "link"), [("SHM", "UDPv4"), ("LARGE_DATA", "LARGE_DATA"), ("", "DEFAULT")])
+def test_the_link_s_participant_leaves_its_host(nodes, link):
+    """Nodes that share memory alone are met in their own domain; nothing else of the transports changes."""
+    environment = {"FASTDDS_BUILTIN_TRANSPORTS": nodes}
+    with _discovery(LinkDomain(domain_id=77, peer="10.0.0.2"), environment):
+        assert environment == environment | {"FASTDDS_BUILTIN_TRANSPORTS": f"{link}?non_blocking=true"}
+    assert environment == {"FASTDDS_BUILTIN_TRANSPORTS": nodes}

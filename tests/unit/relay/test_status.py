@@ -1,0 +1,26 @@
+"""What the relay says of itself."""
+
+import pytest
+
+from arpd.relay.ends.offers import EndState, TopicOffer, WriterOffer
+from arpd.relay.status import topics_of
+
+
+def offer(*nodes):
+    writers = tuple(WriterOffer(node=node, gid=f"{number:032x}") for number, node in enumerate(nodes))
+    return TopicOffer(type_name="std_msgs/msg/String", writers=writers, link_name="/scan")
+
+
+@pytest.mark.parametrize(
+    ("nodes", "wants", "offered"),
+    [
+        (("/arpd",), (), 0),
+        (("/arpd",), ("/scan",), 1),
+        (("/arpd", "/lidar"), (), 1),
+    ],
+)
+def test_diagnostics_of_arpd_alone_are_no_topic_that_could_cross(nodes, wants, offered):
+    """Else nobody would learn that the relay finds none of the user's nodes."""
+    sender = EndState(session=1, topics={"/scan": offer(*nodes)})
+    found = topics_of(sender, EndState(session=2, wants=frozenset(wants)))
+    assert (found.offered, found.wanted) == (offered, len(wants))
