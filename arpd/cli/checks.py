@@ -15,7 +15,7 @@ from arpd.host import kernel, radio
 from arpd.host.interface import read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_duration, format_number, format_share, format_size, printable
-from arpd.model.wire import MTU_BYTES, PACKET_BYTES
+from arpd.model.wire import MOST_PACKET_BYTES, MTU_BYTES
 from arpd.report.wording import count, listed
 from arpd.ros.profile import profile_line
 from arpd.ros.rmw import Rmw
@@ -159,17 +159,17 @@ def region(here: Here) -> Finding:
 def mtu(here: Here) -> Finding:
     """Judge the largest packet that the link takes whole."""
     interface, mtu_bytes = here.interface, kernel.read_mtu(here.interface)
-    cut = f"arpd's packets have up to {PACKET_BYTES}, so IP cuts each"
-    if mtu_bytes < PACKET_BYTES:
+    cut = f"arpd's packets have up to {MOST_PACKET_BYTES}, so IP cuts each"
+    if mtu_bytes < MOST_PACKET_BYTES:
         return wrong(
             f"{interface} has an MTU of {mtu_bytes} bytes; {cut}",
-            f"sudo ip link set dev {quote(interface)} mtu {MTU_BYTES}   # a tunnel takes less: {PACKET_BYTES}",
+            f"sudo ip link set dev {quote(interface)} mtu {MTU_BYTES}   # a tunnel takes less: {MOST_PACKET_BYTES}",
         )
     route_bytes = (here.other_end and kernel.route_mtu(here.other_end)) or mtu_bytes
-    if route_bytes < PACKET_BYTES:
+    if route_bytes < MOST_PACKET_BYTES:
         return wrong(
             f"the route to the other end takes {route_bytes} bytes, less than {interface} ({mtu_bytes}); {cut}",
-            f"raise the MTU to {PACKET_BYTES} or more on the way; `tracepath` to the other end shows where it falls",
+            f"raise the MTU on the way to {MOST_PACKET_BYTES} or more; `tracepath` to the other end shows where",
         )
     return fine(f"{interface} takes packets of {min(mtu_bytes, route_bytes)} bytes")
 

@@ -18,7 +18,7 @@ from arpd.host.config.load import load_settings
 from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
 from arpd.model.link import LinkState
-from arpd.model.quantities import DURATION, SIZE, format_duration, format_number, format_rate, format_size, printable
+from arpd.model.quantities import DURATION, SIZE, format_duration, format_number, format_payload, format_rate, printable
 from arpd.report.wording import count
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import LinkModel
@@ -156,7 +156,7 @@ def _simulate(options: argparse.Namespace) -> int:
 def _head(name: str, ways: Comparison, model: LinkModel, robot: Sequence[SimTopic]) -> Sequence[str]:
     rates = [moment.truth_bytes_per_second for moment in ways[Way.ARPD].moments]
     low, mean, high = (format_rate(rate) for rate in (min(rates), sum(rates) / len(rates), max(rates)))
-    path = f"delay {format_duration(model.delay_s)}, queue {format_size(model.queue_bytes)}"
+    path = f"delay {format_duration(model.delay_s)}, queue {format_payload(model.queue_bytes)}"
     published = format_rate(sum(topic.payload_bytes * topic.rate_hz for topic in robot))
     return (
         f"link     {printable(name)}: {low} to {high}, mean {mean}; {path}",
@@ -239,7 +239,7 @@ def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Ta
 
 def _show_events(moments: Sequence[Moment]) -> None:
     """Print the plans, and the begin and end of each outage as arpd saw it."""
-    rows = [["", "EVENT", "CAPACITY"]]
+    rows = [["", "EVENT", "BUDGET"]]
     for before, moment in pairwise(moments):
         at_s, is_out = f"{moment.t_s:.1f} s", moment.state is LinkState.OUTAGE
         if is_out != (before.state is LinkState.OUTAGE):

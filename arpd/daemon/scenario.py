@@ -306,7 +306,7 @@ class _Run:
             "estimate_bytes_per_second": snapshot.link.capacity_bytes_per_second,
             "cross_traffic_bytes_per_second": snapshot.link.cross_traffic_bytes_per_second,
             "level_bytes_per_second": snapshot.decision.plan.level_bytes_per_second,
-            "budget_bytes_per_second": snapshot.allocation.capacity_bytes_per_second,
+            "budget_bytes_per_second": snapshot.allocation.budget_bytes_per_second,
             "state": snapshot.link.state,
             "allowed": snapshot.decision.allowed,
             "planned": len(snapshot.decision.plan.topics),

@@ -196,7 +196,7 @@ class Daemon:
         """Let the price follow the link, by the closed form; the plan in force stays."""
         topics, allocation, decision, come = self._planned
         price = self._of_now(topics, seen, link, budget).price() if topics and not seen.active_daemon else None
-        allocation = replace(allocation, price=price, capacity_bytes_per_second=budget)
+        allocation = replace(allocation, price=price, budget_bytes_per_second=budget)
         self._planned = Planned(topics, allocation, replace(decision, reason=""), come)
 
     def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:

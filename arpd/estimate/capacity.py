@@ -9,6 +9,7 @@ import numpy as np
 
 from arpd.estimate.parameters import FALLEN, NOTICED, RADIO_SHARE
 from arpd.model.link import CapacityKind
+from arpd.model.quantities import format_rate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -163,7 +164,7 @@ class Statement:
     def change(self, now_s: float, why: str) -> None:
         """State what is believed, for a reason."""
         self.capacity, self.changed_at_s = self.belief.stated(self.capacity), now_s
-        self.evidence = f"{self.capacity * 8e-6:.2f} Mbit/s: {why}"
+        self.evidence = why
 
     def in_force(self, *, pinned: float | None, radio: float | None) -> tuple[float, CapacityKind, str]:
         """Return the capacity that counts (bytes/s), its kind, and why.
@@ -175,6 +176,5 @@ class Statement:
         if pinned is not None:
             return pinned, CapacityKind.CONFIGURED, "pinned by the configuration"
         if radio is not None and self.kind is not CapacityKind.PEER and (bound := RADIO_SHARE * radio) < self.capacity:
-            why = f"{bound * 8e-6:.2f} Mbit/s: the radio sends at {radio * 8e-6:.1f} Mbit/s"
-            return bound, CapacityKind.RADIO, why
+            return bound, CapacityKind.RADIO, f"the radio sends at {format_rate(radio)}"
         return self.capacity, self.kind, self.evidence

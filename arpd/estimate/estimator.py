@@ -16,6 +16,7 @@ from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
 from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
+from arpd.model.quantities import format_duration, format_rate
 from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
@@ -226,15 +227,16 @@ class Estimator:
         pinged, self._pinged = self._pinged, []
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        why = ""
+        seen = shown = ""
         for rate in self._trains.take(packet_overhead_s=self._overhead_s):
             self._stated.belief.wait(now_s)
             self._stated.belief.train(rate)
-            why = f"trains see {rate * 8e-6:.1f} Mbit/s"
+            seen = f"trains see {format_rate(rate)}"
         if now_s > self._learns_from_s:
-            why = self._weigh_delivery(now_s, pinged, has_reports=has_reports) or why
+            shown = self._weigh_delivery(now_s, pinged, has_reports=has_reports)
         # Beside a queue that stands no train leaves, and what is delivered is the capacity.
         is_measured = self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS
+        why = "; ".join(filter(None, (seen, shown)))
         if why and (is_measured or self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s):
             self._stated.follow(now_s, CapacityKind.PEER, why)
 
@@ -255,24 +257,23 @@ class Estimator:
         if busy:
             believed.wait(now_s)
             believed.delivered_busy(busy, weight=weight, overhead=self._peers.overhead_of(busy, self._overhead_s))
-            return f"queue of {self._queue_delay_s * 1e3:.0f} ms at this delivery rate"
+            return f"{format_rate(busy)} carried, never idle"
         if not has_reports or delivered <= 0:
             return ""
         if not stays:
-            self._weigh_idleness(now_s, delivered, pinged, has_arrived=has_arrived)
-            return "carried without a queue"
+            return self._weigh_idleness(now_s, delivered, pinged, has_arrived=has_arrived)
         if (growth := self._queues.growth) <= -0.5:
             return ""  # a queue that drains says nothing: less is sent than the link carries
         believed.wait(now_s)
         believed.filled_by(delivered / (1.0 + growth))
-        return f"queue of {self._queue_delay_s * 1e3:.0f} ms at this send rate"
+        return f"{format_rate(delivered)} sent into a queue of {format_duration(self._queue_delay_s)}"
 
-    def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_arrived: bool) -> None:
-        """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s)."""
+    def _weigh_idleness(self, now_s: float, delivered: float, pinged: Sequence[float], *, has_arrived: bool) -> str:
+        """Weigh that so much was carried, and how often it met no queue (bytes/s, delays s); return it in words."""
         believed, overhead = self._stated.belief, self._peers.overhead_of(delivered, self._overhead_s)
         # On a link that carries little, time passes without a sign of the capacity, and the belief stays.
         if overhead + delivered / self._stated.capacity <= parameters.USED:
-            return
+            return ""
         # Where the largest sample takes no longer than the jitter of pings, no queue shows in them at any load. Then to
         # carry less than is believed is no news, either: the belief would only rise with time.
         shows_queue = self._largest_s > 2.0 * parameters.IDLE_S
@@ -281,13 +282,13 @@ class Estimator:
             believed.wait(now_s)
         if has_arrived:
             believed.carried(carried, overhead=overhead)
-        if not shows_queue or self._alarm_s > 0.0:
-            return
-        shown = 1.0 - parameters.IDLE_S / self._largest_s
-        for delay_s in pinged:
-            weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
-            is_idle = delay_s < parameters.IDLE_S
-            believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
+        if shows_queue and self._alarm_s <= 0.0:
+            shown = 1.0 - parameters.IDLE_S / self._largest_s
+            for delay_s in pinged:
+                weight = parameters.PING_WEIGHT / len(self._peers)  # a ping goes to each of them
+                is_idle = delay_s < parameters.IDLE_S
+                believed.ping(delivered, was_idle=is_idle, weight=weight, overhead=overhead, shown=shown)
+        return f"{format_rate(delivered)} carried without a queue"
 
     def _judge(self, now_s: float) -> LinkState:
         if self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s:

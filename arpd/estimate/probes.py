@@ -23,11 +23,11 @@ PING_BYTES = 16  # payload of a ping
 OUTAGE_PING_S, OUTAGE_PING_BYTES = 0.5, 200  # time between pings, and their payload, while the link is out
 PACKET_BYTES = 1_200  # payload in a train; with 16 bytes of layout one datagram, `arpd.model.wire.FRAGMENT_BYTES`
 TRAIN_S, TRAIN_LEAST_PACKETS, TRAIN_MOST_PACKETS = 0.005, 4, 24  # length of a train in link time, and its bounds
-SMALL_PACKETS, SMALL_PACKET_BYTES = 16, 16  # number and payload of the packets of a train of small ones
+SMALL_TRAIN_PACKETS, SMALL_PACKET_BYTES = 16, 16  # number and payload of the packets of a train of small ones
 # One in so many large trains is followed by one of small packets, after this time.
 SMALL_EVERY, PAIR_S = 10, 0.15
 # Least time between trains: before any measurement, in general, and while the capacity is doubtful.
-FIRST_S, CALM_S, URGENT_S = 0.25, 2.5, 0.5
+FIRST_S, CALM_S, DOUBTFUL_S = 0.25, 2.5, 0.5
 SHORT_S, SHORT_TRAIN_S = 1.0, 0.02  # the same while more is asked, where a train takes no longer than the second
 RESTING_TRAIN_S = 60.0  # time between trains then
 TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
@@ -105,15 +105,15 @@ class ProbeSchedule:
         if not is_measured:
             pause_s = FIRST_S
         elif is_urgent and can_pay:
-            pause_s = URGENT_S
+            pause_s = DOUBTFUL_S
         elif is_resting or not can_pay:
             pause_s = RESTING_TRAIN_S if is_resting else TRAIN_MOST_S
         else:
             pause_s = SHORT_S if is_short else CALM_S
         if now_s >= self._small_at_s:
             self._small_at_s = math.inf
-            self._spend(copies * SMALL_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
-            yield self._request(SMALL_PACKETS, SMALL_PACKET_BYTES)
+            self._spend(copies * SMALL_TRAIN_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
+            yield self._request(SMALL_TRAIN_PACKETS, SMALL_PACKET_BYTES)
         elif now_s - self._train_at_s >= pause_s:
             self._train_at_s = now_s
             self._spend(cost, is_measured=is_measured)

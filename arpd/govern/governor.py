@@ -126,7 +126,7 @@ class Governor:
         self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
         self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
         self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
-        self._swaps.fill(now_s, lasting.capacity_bytes_per_second)
+        self._swaps.fill(now_s, lasting.budget_bytes_per_second)
 
     def _follow_memory(self) -> str:
         """Take depths that the memory of now allows; return ``memory``, or nothing where those in force do.
@@ -164,7 +164,7 @@ class Governor:
 
     def _note_moves(self) -> None:
         """Note since when QoS has not been what the program gives; while all is, the level follows."""
-        now_s, level = self._now_s, self._lasting.capacity_bytes_per_second
+        now_s, level = self._now_s, self._lasting.budget_bytes_per_second
         start = (Move.NONE, now_s)
         self._moving = {
             name: before if (before := self._moving.get(name, start))[0] is move else (move, now_s)
@@ -245,7 +245,7 @@ class Governor:
         rows = self._within_budget()
         if rows == self.plan.topics and cause in {"down", "up", "budget"}:
             return ""
-        self._take(rows, cause, self._lasting.capacity_bytes_per_second)
+        self._take(rows, cause, self._lasting.budget_bytes_per_second)
         self._changed_at_s, self._reload_pending, self._sharing = self._now_s, False, self._now_sharing
         self._demand_since_s = self._differs_since_s = math.inf
         return cause

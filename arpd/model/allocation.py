@@ -111,7 +111,7 @@ class Allocation:
     topics : one answer per topic, in the order of the rows
     status : success in keeping all constraints
     binding : the constraint to relax first
-    capacity_bytes_per_second : capacity that was divided, after cross traffic and headroom (bytes/s)
+    budget_bytes_per_second : what was divided: the capacity that cross traffic and headroom leave (bytes/s)
     degradation : what was given up, in words; empty if nothing
     price : message that gives every endpoint these rates; None without topics
     uniform : what all topics have in common; None where each has a share of its own
@@ -122,7 +122,7 @@ class Allocation:
     topics: tuple[TopicAllocation, ...] = ()
     status: AllocationStatus = AllocationStatus.EMPTY
     binding: Binding = Binding.NOTHING
-    capacity_bytes_per_second: float = 0.0
+    budget_bytes_per_second: float = 0.0
     degradation: str = ""
     price: Price | None = None
     uniform: Uniform | None = None

@@ -23,7 +23,7 @@ SMALL_PACKETS = 10
 HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
 ACKNACK_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 28
 #: Largest IP packet of arpd's writers.
-PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
+MOST_PACKET_BYTES = IPV4_BYTES + UDP_BYTES + _MESSAGE_BYTES
 #: Heartbeat period of arpd's writers (arpd/ros/fastdds.xml) while something is unacknowledged.
 HEARTBEAT_S = 0.05
 #: And of those of a relay's two ends, where samples of many topics wait for a lost one before them.

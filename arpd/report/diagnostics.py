@@ -85,7 +85,7 @@ def _of_link(snapshot: Snapshot) -> dict[str, str]:
         "interface": snapshot.interface,
         "capacity": format_rate(link.capacity_bytes_per_second),
         "known from": f"{link.kind}: {link.evidence}" if link.evidence else str(link.kind),
-        "budget of topics": format_rate(snapshot.allocation.capacity_bytes_per_second),
+        "budget of topics": format_rate(snapshot.allocation.budget_bytes_per_second),
         "cross traffic": format_rate(link.cross_traffic_bytes_per_second),
         "queue delay": format_duration(link.queue_delay_s),
         "loss": "unknown" if link.loss_ratio is None else format_share(link.loss_ratio),

@@ -232,7 +232,8 @@ def _remarks(topic: LinkTopic) -> Iterator[str]:
         measured = f"{format_number(traffic.rate_hz)} Hz of {format_payload(traffic.mean_bytes)}"
         yield f"measured {measured}: {format_rate(traffic.bytes_per_second)}"
         if _is_flood(topic):
-            yield "more than Wi-Fi may carry: read it compressed over the link, or keep it off by relay.deny"
+            less = "set max_rate_hz, or a lower quality" if "Compressed" in topic.type_name else "read it compressed"
+            yield f"more than Wi-Fi may carry: {less}, or keep it off the link by relay.deny"
     elif traffic.mean_bytes:
         yield f"its last message has {format_payload(traffic.mean_bytes)}"
     else:

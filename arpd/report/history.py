@@ -20,7 +20,7 @@ _EARLY_S = 0.05  # half a tick: the tick nearest to the full period takes the sa
 LINK_SERIES: dict[str, Callable[[Snapshot], float]] = {
     "capacity_bytes_per_second": lambda s: s.link.capacity_bytes_per_second,
     "available_bytes_per_second": lambda s: s.link.available_bytes_per_second,
-    "budget_bytes_per_second": lambda s: s.allocation.capacity_bytes_per_second,
+    "budget_bytes_per_second": lambda s: s.allocation.budget_bytes_per_second,
     "level_bytes_per_second": lambda s: s.decision.plan.level_bytes_per_second,
     "delivery_rate_bytes_per_second": lambda s: s.link.delivery_rate_bytes_per_second,
     "cross_traffic_bytes_per_second": lambda s: s.link.cross_traffic_bytes_per_second,

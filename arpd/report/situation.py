@@ -264,12 +264,12 @@ def _is_draining(snapshot: Snapshot) -> bool:
         return True
     # The level knows the headroom, and the estimate knows the link of this moment.
     usable = min(snapshot.decision.plan.level_bytes_per_second, link.available_bytes_per_second)
-    return snapshot.allocation.capacity_bytes_per_second < _DRAINS_BELOW * usable
+    return snapshot.allocation.budget_bytes_per_second < _DRAINS_BELOW * usable
 
 
 def _budget(snapshot: Snapshot) -> str:
     """Say what the topics may use now."""
-    budget, capacity = snapshot.allocation.capacity_bytes_per_second, snapshot.link.capacity_bytes_per_second
+    budget, capacity = snapshot.allocation.budget_bytes_per_second, snapshot.link.capacity_bytes_per_second
     if budget < _LEAST_BUDGET * capacity:
         return f"topics may use next to nothing of {format_rate(capacity)}"
     return f"topics may use {format_rate(budget)} of {format_rate(capacity)}"

@@ -119,14 +119,14 @@ class Program:
 
 def _divided(link: Link, memory_bytes: float, find: Find) -> Allocation:
     if not link.rows.topics:
-        return Allocation(capacity_bytes_per_second=link.capacity * link.share)
+        return Allocation(budget_bytes_per_second=link.capacity * link.share)
     division = link.divide(memory_bytes, find)
     rows = _published(link, division)
     return Allocation(
         topics=rows,
         status=AllocationStatus.DEGRADED if division.given_up else AllocationStatus.OPTIMAL,
         binding=_overall(rows),
-        capacity_bytes_per_second=link.capacity * link.share,
+        budget_bytes_per_second=link.capacity * link.share,
         degradation="; ".join(division.given_up),
         price=division.price,
         uniform=division.uniform,

@@ -214,7 +214,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
         link=link,
         radio_bytes_per_second=observation.radio_bytes_per_second,
         available_bytes_per_second=link.available_bytes_per_second,
-        budget_bytes_per_second=snapshot.allocation.capacity_bytes_per_second,
+        budget_bytes_per_second=snapshot.allocation.budget_bytes_per_second,
         allowed_ratio=decision.allowed,
         peers=tuple(
             Peer(peer=peer, report_age_s=age_s, clock=observation.peer_clocks.get(peer))

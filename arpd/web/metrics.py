@@ -154,7 +154,7 @@ def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
     observation, allocation = snapshot.observation, snapshot.allocation
     plan = snapshot.decision.plan
     text = "Wire bytes per second that the topics may put on the link now."
-    yield _family("link_budget_bytes_per_second", text, allocation.capacity_bytes_per_second)
+    yield _family("link_budget_bytes_per_second", text, allocation.budget_bytes_per_second)
     text = "Part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed."
     yield _family("allowed_ratio", text, snapshot.decision.allowed)
     text = "Last lasting budget that the plan in force fitted."

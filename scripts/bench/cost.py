@@ -98,7 +98,7 @@ def _reaction(world: World) -> dict[str, Any]:
     while before and (spent_s := time.monotonic() - began_s) < _REACT_S and None in found.values():
         if status := world.status():
             found["planned"] = sum(topic["planned"] is not None for topic in status["topics"])
-            if found["budget s"] is None and status["allocation"]["capacity_bytes_per_second"] <= 1.1 * SLOW:
+            if found["budget s"] is None and status["allocation"]["budget_bytes_per_second"] <= 1.1 * SLOW:
                 found["budget s"] = spent_s
             if found["plan s"] is None and status["plan"]["generation"] > before["plan"]["generation"]:
                 found["plan s"] = spent_s

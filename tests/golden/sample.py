@@ -147,7 +147,7 @@ _ALLOCATION = Allocation(
     ),
     status=AllocationStatus.OPTIMAL,
     binding=Binding.LINK,
-    capacity_bytes_per_second=425000.0,
+    budget_bytes_per_second=425000.0,
     price=Price(share_per_weight=0.5, capacity_bytes_per_second=437500.0, packet_overhead_s=0.00025),
     backend="osqp",
     solve_s=0.000125,

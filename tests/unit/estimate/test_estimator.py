@@ -123,6 +123,15 @@ def test_what_arrives_while_a_queue_stands_is_the_capacity(counters):
     assert link.ticks(5, trains=[FIRST]).capacity_bytes_per_second > 6e5
 
 
+def test_the_evidence_is_what_was_seen():
+    """It names what the trains saw and what was carried, each with its own rate; what an idle link carries is none."""
+    assert Link().measured().tick().evidence == "trains see 16 Mbit/s"
+    link = Link().measured()
+    link.ticks(3, rate=1.2e6)
+    estimate = link.tick(rate=1.2e6, trains=[1.5 * FIRST])
+    assert estimate.evidence == "trains see 24 Mbit/s; 9.6 Mbit/s carried without a queue"
+
+
 def test_a_queue_at_the_start_shows_the_capacity():
     """A daemon that starts again beside a queue does not wait for trains, of which none would leave."""
     link = Link()

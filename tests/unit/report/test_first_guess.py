@@ -56,6 +56,12 @@ def guess_of(*topic, **other):
     return guess
 
 
+def test_a_picture_that_is_compressed_is_not_to_be_read_compressed():
+    """What is more than Wi-Fi may carry has a way out that it does not have already."""
+    for kind, way_out in (("Image", "read it compressed"), ("CompressedImage", "max_rate_hz")):
+        assert way_out in " ".join(guess_of(f"sensor_msgs/msg/{kind}", 30.0, 2.7e5).remarks)
+
+
 @examples(30)
 @given(st.floats(0.05, 20.0), st.floats(0.05, 20.0))
 def test_a_map_is_latched_at_any_rate(one_hz, other_hz):

@@ -46,7 +46,7 @@ def test_the_verdict_answers_the_four_questions():
         ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_DOWN, "link.interface"),
         ({"link": {"state": LinkState.DRAINING}}, Condition.QUEUE, "12.5 ms of queue"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.QUEUE, "unknown length"),
-        ({"allocation": {"capacity_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
+        ({"allocation": {"budget_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
         ({"allocation": {"status": AllocationStatus.DEGRADED}}, Condition.MINIMUM_RATES, ""),
         # A budget that follows a link that rises has no queue to drain.
         ({"link": {"capacity_bytes_per_second": 5e6}}, Condition.LIMITED, "of 40 Mbit/s"),
