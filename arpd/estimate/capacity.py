@@ -51,8 +51,6 @@ class CapacityBelief:
 
     def __init__(self, capacity: float) -> None:
         self._at_s = -math.inf
-        self._summed: NDArray[np.float64] | None = None
-        self._sums = _LOGS
         self._p = np.exp(-np.abs(_LOGS - math.log(capacity)))
         self._weigh(np.ones_like(_LOGS))
         self._usual = self._p  # where the link was lately
@@ -129,9 +127,8 @@ class CapacityBelief:
         self._p = np.maximum(_NOTHING, p / p.sum())
 
     def _quantile(self, part: float) -> float:
-        if self._summed is not self._p:  # it is read more often than it changes
-            self._summed, self._sums = self._p, np.cumsum(self._p)
-        return math.exp(np.interp(part * self._sums[-1], self._sums, _UPPER_EDGES))
+        sums = np.cumsum(self._p)
+        return math.exp(np.interp(part * sums[-1], sums, _UPPER_EDGES))
 
 
 class Statement:

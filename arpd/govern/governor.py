@@ -159,8 +159,9 @@ class Governor:
             self._moving, self._demand_since_s = {}, math.inf
             return ""
         self._note_moves()
-        cause = self._cause()
-        return self._plan(cause) if cause else ""
+        if cause := self._cause():
+            self._plan(cause)
+        return cause
 
     def _note_moves(self) -> None:
         """Note since when QoS has not been what the program gives; while all is, the level follows."""
@@ -237,18 +238,14 @@ class Governor:
             return ""
         return "down" if Move.RELAX in ripe else "up"
 
-    def _plan(self, cause: str) -> str:
-        """Make a plan and put it into force; return its cause, empty when the rows in force fit the link as it is now.
+    def _plan(self, cause: str) -> None:
+        """Make a plan and put it into force.
 
         Terms go out at once. New QoS waits for the budget of swaps, but not where a reader would be lost.
         """
-        rows = self._within_budget()
-        if rows == self.plan.topics and cause in {"down", "up", "budget"}:
-            return ""
-        self._take(rows, cause, self._lasting.budget_bytes_per_second)
+        self._take(self._within_budget(), cause, self._lasting.budget_bytes_per_second)
         self._changed_at_s, self._reload_pending, self._sharing = self._now_s, False, self._now_sharing
         self._demand_since_s = self._differs_since_s = math.inf
-        return cause
 
     def _take(self, rows: Mapping[str, TopicPlan], cause: str, level: float) -> None:
         generation = min(MOST_GENERATION, max(self._newest, self.plan.generation) + 1)

@@ -8,7 +8,7 @@ from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
 from arpd.model.endpoints import Overflow
-from tests.ros.world import FREE, TERMS, costing, retune
+from tests.ros.world import retune
 from tests.waiting import PATIENCE_S
 
 LONG_S = 10.0  # a write of this length is remembered for 200 s
@@ -87,20 +87,3 @@ def test_publish_waits_for_the_write_before_it_as_rclpy_does(make, monkeypatch, 
         background(lambda _stopping, thread=thread: [publisher.publish(bytes([thread, k])) for k in range(10)])
     eventually("all is written", lambda: len(writer.written) == 30)
     assert all([sample[1] for sample in writer.written if sample[0] == thread] == [*range(10)] for thread in b"abc")
-
-
-def test_what_waits_leaves_without_further_offers(make, monkeypatch, eventually):
-    """Every queued sample leaves in time, and soon when the price falls."""
-    publisher = make()
-    writer = Writer(publisher, monkeypatch)
-    samples = [b"%d" % number for number in range(20)]
-    retune(publisher, rate_hz=40.0, **TERMS)
-    for sample in samples:
-        publisher.pass_on(sample)
-    eventually("all samples leave in order", lambda: writer.written == samples)
-    publisher.set_price(costing(0.001))
-    for sample in samples:
-        publisher.pass_on(sample)
-    assert publisher.state().queued > 0
-    publisher.set_price(FREE)
-    eventually("all samples leave again", lambda: writer.written == 2 * samples)

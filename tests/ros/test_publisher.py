@@ -93,14 +93,6 @@ def test_a_callback_that_sleeps_delays_no_price(publisher, send_price, eventuall
     may_wake.set()
 
 
-def test_nobody_wakes_up_for_the_swap_of_a_topic_whose_writer_blocks(publisher):
-    """While a thread of the application is inside a write, its topic's next turn waits for the end of that."""
-    thread, lane = publisher._thread, publisher._flow.lane
-    assert thread.claim(lane, publisher)
-    assert publisher.service(publisher._flow._clock()) == math.inf
-    thread.release(lane)
-
-
 def test_large_samples_of_two_nodes_cross_one_at_a_time(ros, clock, publisher, send_price, eventually):
     """Of two large samples of a participant that leave together the second waits until the first has crossed."""
     other = AdaptivePublisher(clock.rule(ros.node("second")), String, "/other", 10, clock=clock)

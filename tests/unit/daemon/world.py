@@ -59,4 +59,4 @@ class World:
         self.probes.append(request)
 
     def stand_by(self):
-        self.stood_by = True
+        pass
