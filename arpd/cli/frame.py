@@ -148,7 +148,7 @@ def _facts(status: Status, width: int) -> list[Text]:
         ("traffic", _traffic(status)),
         ("evidence", status.link.evidence),
         ("plan", _plan(plan)),
-        ("", "; ".join(filter(None, [plan.reason, *(f"refused {refusal}" for refusal in plan.refusals)]))),
+        ("", plan.reason),
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
         ("lease", lease(status.lease_s) if status.lease_s else ""),

@@ -88,7 +88,6 @@ class Record:
             ticks_late=self._late,
             solves_by_outcome=MappingProxyType(dict(program.outcomes)),
             plans_by_cause=MappingProxyType(dict(governor.plans_by_cause)),
-            refusals_by_reason=MappingProxyType({"budget": governor.postponed}),
             applies_by_result=MappingProxyType(dict(picture.observation.answers)),
             probes=self._probes,
             probe_bytes=self.probe_bytes,

@@ -40,12 +40,10 @@ class Governor:
     ----------
     plan : in force
     plans_by_cause : number of plans so far
-    postponed : number of times that swaps began to wait for their budget
     """
 
     def __init__(self, settings: Settings) -> None:
         self.plans_by_cause: Counter[str] = Counter()
-        self.postponed = 0
         self._settings = settings
         self._swaps = SwapBudget()
         self._reload_pending = False
@@ -95,17 +93,16 @@ class Governor:
         lasting : division of the budget that holds most of the time; its periods become deadlines
         participants : processes across the link, which hear of each swap
         """
-        cause, was_postponed, self._is_postponed = "", self._is_postponed, False
+        cause, self._is_postponed = "", False
         if lasting.topics:
             self._look(now_s, lasting, topics, publishers, participants)
             cause = self._follow_memory() or self._follow(state)
             self._is_postponed |= bool(self._owed)
-        self.postponed += self._is_postponed and not was_postponed
         return Decision(
             allowed=_allowed(rates, topics),
             plan=self.plan,
             reason=cause,
-            refusals=("budget",) if self._is_postponed else (),
+            is_postponed=self._is_postponed,
         )
 
     def _look(

@@ -139,10 +139,10 @@ class Decision:
     allowed : part of the traffic above the floors that the price allows, 0..1
     plan : the plan in force after this tick
     reason : cause of a plan that this tick made, empty without one
-    refusals : reasons for which swaps that are due wait (``budget``)
+    is_postponed : True while swaps that are due wait for their part of the link
     """
 
     allowed: float = 1.0
     plan: QosPlan = field(default_factory=QosPlan)
     reason: str = ""
-    refusals: tuple[str, ...] = ()
+    is_postponed: bool = False

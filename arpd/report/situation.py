@@ -219,7 +219,7 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
         # In whole seconds: the status line goes to systemd whenever it changes.
         after = format_duration((snapshot.finished_at_s - _since_s(snapshot, late)) // 1)
         yield replace(late, why=f"{who_confirmed(snapshot)} after {after}")
-    if decision.refusals:
+    if decision.is_postponed:
         why = "limit reached: swaps have used up their part of the link"
         yield Finding(Condition.POSTPONED, why, f"plan {decision.plan.generation}")
 

@@ -26,7 +26,6 @@ class Totals:
     ticks, ticks_failed, ticks_late : finished, raised, started more than half a period late
     solves_by_outcome : (backend, outcome) → count; outcome as in `arpd.solve.backends.Solver`
     plans_by_cause : plans made, by cause (``start``, ``down``, ``up``, ``demand``, ``memory`` …)
-    refusals_by_reason : times that swaps began to wait (``budget``)
     applies_by_result : answers of nodes to plans, by result (``ok``, ``refused``, ``timeout``)
     probes, probe_bytes : trains and pings put on the link, and their wire bytes
     reports : peer reports received
@@ -38,7 +37,6 @@ class Totals:
     ticks_late: int = 0
     solves_by_outcome: Mapping[tuple[str, str], int] = field(default_factory=lambda: MappingProxyType({}))
     plans_by_cause: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    refusals_by_reason: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     applies_by_result: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     probes: int = 0
     probe_bytes: int = 0

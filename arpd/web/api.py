@@ -77,7 +77,6 @@ class Plan:
     ----------
     generation : grows with every new plan; 0 = no plan
     reason : why the last tick changed the plan; empty if it did not
-    refusals : reasons for which swaps that are due wait (``budget``)
     level_bytes_per_second : last lasting budget that the plan fitted (bytes/s on the wire)
     topics, publishers : topics in the plan, and their live publishers
     confirmed, paced_only : publishers that announce the plan, and those that refuse new QoS for good
@@ -85,7 +84,6 @@ class Plan:
 
     generation: int
     reason: str
-    refusals: tuple[str, ...]
     level_bytes_per_second: float
     topics: int
     publishers: int
@@ -232,7 +230,6 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
         plan=Plan(
             generation=decision.plan.generation,
             reason=decision.reason,
-            refusals=decision.refusals,
             level_bytes_per_second=decision.plan.level_bytes_per_second,
             topics=len(decision.plan.topics),
             publishers=snapshot.managed,

@@ -223,8 +223,6 @@ def _totals(snapshot: Snapshot) -> Iterator[Metric]:
     yield _family("peer_reports_total", "Reports of peers that arrived.", totals.reports)
     yield _family("events_total", "Lines of the decision log.", _counts("event", MESSAGE_IDS, totals.events_by_kind))
     yield _family("plans_total", "Plans made.", _counts("cause", _CAUSES, totals.plans_by_cause))
-    refusals = _counts("reason", ("budget",), totals.refusals_by_reason)
-    yield _family("refusals_total", "Times that swaps which were due began to wait.", refusals)
     failures = _counts("reason", ("refused", "timeout"), totals.applies_by_result)
     yield _family("apply_failures_total", "Plans that a node refused or did not answer; arpd repeats them.", failures)
     yield _family(

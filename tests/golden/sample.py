@@ -242,7 +242,7 @@ def make_snapshot() -> Snapshot:
             return_delay_s=0.0078125,
         ),
         allocation=_ALLOCATION,
-        decision=Decision(allowed=0.75, plan=_PLAN, refusals=("budget",)),
+        decision=Decision(allowed=0.75, plan=_PLAN, is_postponed=True),
         totals=Totals(
             ticks=9000,
             ticks_failed=1,
@@ -251,7 +251,6 @@ def make_snapshot() -> Snapshot:
                 {("osqp", "solved"): 8990, ("closed_form", "solved"): 10, ("osqp", "failed"): 9}
             ),
             plans_by_cause=MappingProxyType({"start": 1, "down": 1, "up": 1}),
-            refusals_by_reason=MappingProxyType({"budget": 40}),
             applies_by_result=MappingProxyType({"ok": 6, "refused": 1}),
             probes=120,
             probe_bytes=1_440_000,

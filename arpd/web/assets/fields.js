@@ -51,7 +51,6 @@ export const FORMATS = {
       .filter(([, count]) => count)
       .map(([name, count]) => `${words(name)}\u00a0${count}`)
       .join(", "),
-  list: (value) => (Array.isArray(value) ? value.map(words).join(", ") : NONE),
   time: (value) => (isNone(value) ? NONE : clock(value)),
   state: named(STATES),
   severity: named(SEVERITIES),

@@ -240,7 +240,7 @@ def wandering(seed, **options):
 def test_swaps_stay_within_their_part_of_the_link(seed):
     """On any course, swaps take at most 1 % of the lasting budget, besides half a minute of it and one swap."""
     participants = 50
-    run, decisions, times_s = wandering(seed, participants=participants)
+    _, decisions, times_s = wandering(seed, participants=participants)
     cost = participants * swap_bytes(20 + 2 * len(TOPICS))
     rows = dict.fromkeys((topic.name for topic in TOPICS), APPLICATION)
     spent = 0.0
@@ -251,7 +251,7 @@ def test_swaps_stay_within_their_part_of_the_link(seed):
             rows = now
         assert spent <= 0.01 * most_level * (30.0 + at_s - times_s[0]) + cost
     assert spent > cost
-    assert run.governor.postponed > 0
+    assert any(decision.is_postponed for decision in decisions)
 
 
 def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
@@ -259,12 +259,11 @@ def test_over_the_swap_budget_terms_go_out_and_swaps_follow():
     weighted = tuple(replace(topic, weight=1.0 + i) for i, topic in enumerate(TOPICS))
     run = Run(topics=weighted, participants=50)
     decision = next(decision for decision in run.ticks(3.0) if decision.reason)
-    assert (decision.reason, decision.refusals) == ("start", ("budget",))
+    assert (decision.reason, decision.is_postponed) == ("start", True)
     for topic in weighted:
         row = decision.plan.topics[topic.name]
         assert (row.rate_hz, row.weight) == (1.25 * SOURCE_HZ, topic.weight)
     assert {name for name, row in qos(decision.plan).items() if row != APPLICATION} == {"/t1", "/t2"}
-    assert run.governor.postponed == 1
     assert changes(run.ticks(30.0)) == []
     assert changes(run.ticks(30.0)) == ["budget"]
     assert APPLICATION not in qos(run.governor.plan).values()

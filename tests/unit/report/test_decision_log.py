@@ -50,7 +50,7 @@ CALM = {
     },
     "link": {"state": LinkState.STEADY, "capacity_bytes_per_second": 20 * MBIT, "cross_traffic_bytes_per_second": 0.0},
     "allocation": {"topics": (), "status": AllocationStatus.OPTIMAL, "degradation": ""},
-    "decision": {"plan": NO_PLAN, "reason": "", "refusals": ()},
+    "decision": {"plan": NO_PLAN, "reason": "", "is_postponed": False},
 }
 
 
