@@ -20,18 +20,18 @@ class Partner:
     """Follows the states and the signs of life of the other end, and its restarts.
 
     A killed end returns as a new session. Two ends that run at the same time are two sessions that both speak: the
-    first one stays in force, the other one is named. A robot's end does not follow one that follows another robot's: of
-    two robots in one link domain, the second would obey what is meant for the first. An end that restarts follows at
-    once one that follows its predecessor, which was on this host.
+    first one stays in force, the other one is named. None follows an end that follows another host's: of two robots in
+    one link domain, the second would obey what is meant for the first, and a second base computer would be sent all
+    topics, while nobody hears its commands. An end that restarts follows at once one that follows its predecessor,
+    which was on this host.
 
     Parameters
     ----------
     host : how the GUIDs of this host begin, in hexadecimal digits
-    is_far : whether this end is the base computer's
     """
 
-    def __init__(self, *, host: str, is_far: bool = False) -> None:
-        self._is_far, self._host = is_far, host
+    def __init__(self, *, host: str) -> None:
+        self._host = host
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
@@ -77,7 +77,7 @@ class Partner:
         return sorted(state.host for state in speaking if is_meant(state))
 
     def _is_free(self, state: EndState) -> bool:
-        return self._is_far or not state.follows or state.follows.startswith(self._host)
+        return not state.follows or state.follows.startswith(self._host)
 
     def _is_heard(self, session: int, now_s: float, within_s: float) -> bool:
         return now_s - self._heard_s.get(session, -math.inf) <= within_s

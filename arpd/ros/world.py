@@ -213,7 +213,8 @@ class RosControl:
         refusal = self._reports.note(report, must_answer=not self._daemons.active_daemon())
         if refusal is None:
             self._on_report_arrived()
-        elif refusal is not MessageRefusal.UNANSWERED or not self._daemons.are_heard:  # else it answers one that drove
+        # A peer that starts has heard no probe yet, and one may answer a daemon that drove.
+        elif report.last_probe and (refusal is not MessageRefusal.UNANSWERED or not self._daemons.are_heard):
             words = f"reports of {report.peer!r}: {_WHY[refusal]}"
             self._inboxes[MessageKind.REPORTS].refuse(refusal, sample.writer, words)
 

@@ -1,17 +1,20 @@
 """The peer with real rclpy: what a daemon on the other side hears from it."""
 
 import time
+from dataclasses import replace
 from itertools import count
 
 import pytest
 from std_msgs.msg import UInt8MultiArray
 
+from arpd.estimate.receiver import Receiver
 from arpd.host.interface import InterfaceReader
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
-from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe, encode_report
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import BEST_EFFORT
 from tests.ros.world import DOMAIN, FREE
@@ -98,6 +101,18 @@ def test_of_two_daemons_one_drives_and_neither_refuses_what_answers_the_other(da
     assert not any(each.observe().refused for each in both)
     eventually("both are in the graph", lambda: all(each.observe().other_daemons == ("this host",) for each in both))
     eventually("the one that is silent is succeeded", lambda: not standing.observe().active_daemon)
+
+
+def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, eventually):
+    """Reports of a peer that starts answer no probe; only those that claim to are counted, and named in the log."""
+    daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
+    daemon.probe()
+    report = Receiver("base", 0.0).report(1.0, rx_bytes=0, rx_packets=0)
+    eventually("the daemon hears reports", reports.get_subscription_count)
+    for last_probe in (0, 0, 4711):
+        reports.publish(encode_report(replace(report, last_probe=last_probe)))
+    refused = eventually("one is refused", lambda: daemon.observe().refused)
+    assert refused == {(MessageKind.REPORTS, MessageRefusal.UNANSWERED): 1}
 
 
 def test_the_daemon_knows_the_peers_clock(daemon, eventually):

@@ -53,6 +53,7 @@ _PARTICIPANT, _HOST = 24, 8  # digits of a GUID that name its process; its vendo
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+_OWN_DOMAIN = "give each robot a relay.link_domain of its own"
 #: In the place of a state while there is no other end.
 NOBODY = EndState(session=0)
 
@@ -91,7 +92,7 @@ class End:
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
         link_gids = self._link_view.own.participant.hex()
-        self._partner, self._namespace = Partner(is_far=is_far, host=link_gids[:_HOST]), settings.namespace
+        self._partner, self._namespace = Partner(host=link_gids[:_HOST]), settings.namespace
         self._new_state = partial(
             EndState,
             session=session,
@@ -297,8 +298,10 @@ class End:
 
     def _summary(self, now_s: float) -> RelaySummary:
         here, there, fault = self._told, self._there, self._fault
-        if there is NOBODY and (hosts := self._partner.elsewhere(now_s)):
-            fault = f"that of {', '.join(hosts)} serves another robot; give each robot a relay.link_domain of its own"
+        is_settled = now_s - self._begun_s > _LINGER_S  # this computer may have had another address
+        if there is NOBODY and is_settled and (hosts := self._partner.elsewhere(now_s)):
+            another = "base computer; a robot has one" if self._is_far else f"robot; {_OWN_DOMAIN}"
+            fault = f"that of {', '.join(hosts)} serves another {another}"
         if self._is_shared:
             fault = ONE_DOMAIN
         robot, base = (there, here) if self._is_far else (here, there)
