@@ -150,7 +150,7 @@ def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings)
     domains = (relay.link_domain, *_LINK_DOMAINS)
     robot, base, guessed_from = options.robot or relay.robot, options.base or relay.base, ""
     if robot is None:
-        interface = link_interface(settings.link.interface, None)
+        interface = link_interface(settings.link.interface, base)
         robot = min(host.ipv4_addresses().get(interface, ()), default=None)
         guessed_from = interface if robot else ""
     link_domain = next(domain for domain in domains if domain is not None and domain != here)

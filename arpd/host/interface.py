@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import socket
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +24,7 @@ log = logging.getLogger(__name__)
 SYS_NET = Path("/sys/class/net")
 _PROC_ROUTE = Path("/proc/net/route")
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
+_CHOOSE_S, _LOST_S = 1.0, 10.0
 _UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
 
 
@@ -102,17 +105,19 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
 class InterfaceReader:
     """Reads one interface repeatedly and logs each change of its state once.
 
-    An interface that returns under its name continues the old totals. It may appear late: the reader chooses again for
-    ``auto`` until the chosen interface has been up once. When that is gone, ``auto`` means the one that has its address
-    now: it was renamed, or replaced.
+    An interface that returns under its name continues the old totals. ``auto`` may mean another one later: until one
+    was up; if it was no radio, when a radio comes or it has been away for ten seconds, as a cable that a robot boots
+    with; and the one that gets the address of one that is gone, because that was renamed, or replaced.
 
     Parameters
     ----------
     name : the interface, as configured
     read : the kernel's answer
     choose : returns the interface that ``auto`` means now, None = none yet
+    is_radio : whether an interface is one
     addresses : returns the addresses of every interface
     note : called with a logging level and a text at every change of state
+    clock : monotonic clock (s)
 
     Attributes
     ----------
@@ -125,14 +130,19 @@ class InterfaceReader:
         *,
         read: Callable[[str], LinkCounters | None] = read_counters,
         choose: Callable[[], str | None] = likeliest_interface,
+        is_radio: Callable[[str], bool] = is_radio,
         addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
         note: Callable[[int, str], None] = log.log,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = name
         self._read = read
-        self._choose = choose
+        self._choose, self._is_radio = choose, is_radio
         self._note = note
+        self._clock = clock
         self._may_choose = self._is_auto = name == AUTO
+        self._away_s = -math.inf  # since when it is not up: infinite while it is, and minus that before it ever was
+        self._chosen_s = -math.inf  # when another one was looked for
         self._addresses = addresses
         self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
         self._raw: LinkCounters | None = None
@@ -141,11 +151,9 @@ class InterfaceReader:
 
     def read(self) -> LinkCounters | None:
         """Return counters, which never fall, and state; None while the interface is gone."""
-        if self._may_choose and (chosen := self._choose()) is not None and chosen != self.name:
-            log.info("link.interface is auto: arpd uses %s", chosen)
-            self.name = chosen
-            self._raw = self._total = self._state = None
-            self._own = frozenset()
+        now_s = self._clock()
+        if self._may_choose and (self._away_s == -math.inf or now_s - self._chosen_s >= _CHOOSE_S):
+            self._choose_again(now_s)
         if (raw := self._read(self.name)) is None and self._own:
             if heir := next((name for name, addresses in self._addresses().items() if addresses & self._own), None):
                 log.info("link.interface is auto: %s has the address of %s, so arpd uses it", heir, self.name)
@@ -155,10 +163,24 @@ class InterfaceReader:
         if raw is not None:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = _continued(self._total or raw, self._raw or raw, raw)
-            self._may_choose = self._may_choose and not raw.is_up
+        if raw is not None and raw.is_up:
+            self._away_s = math.inf
+            self._may_choose = self._may_choose and not self._is_radio(self.name)
+        else:
+            self._away_s = min(self._away_s, now_s)
         self._raw = raw
         self._note_state(state_of(raw))
         return raw and self._total
+
+    def _choose_again(self, now_s: float) -> None:
+        self._chosen_s = now_s
+        if (chosen := self._choose()) is None or chosen == self.name:
+            return
+        if now_s - self._away_s >= _LOST_S or self._is_radio(chosen):
+            log.info("link.interface is auto: arpd uses %s", chosen)
+            self.name, self._raw, self._own = chosen, None, frozenset()
+            if self._away_s == -math.inf:
+                self._total = self._state = None
 
     def _note_state(self, state: InterfaceState) -> None:
         before, self._state = self._state, state
@@ -168,7 +190,10 @@ class InterfaceReader:
             level = logging.WARNING if state.fault else logging.INFO
             self._note(level, f"the link interface {self.name} {state.fault or 'is up again'}")
         elif self.name == AUTO:
-            text = "link.interface is auto and no interface looks like the link yet; arpd uses the first that does"
+            text = (
+                "link.interface is auto, and no interface looks like the link yet; arpd uses the first that does. "
+                "Name one where several cables and no default route stay"
+            )
             self._note(logging.WARNING, text)
         else:
             self._note(logging.WARNING, f"the link interface {self.name} is not there yet; arpd waits for it")

@@ -69,7 +69,7 @@ class LinkSettings(Section):
 
     Parameters
     ----------
-    interface : interface name, or ``auto`` (the one that carries the default route, a wireless one first)
+    interface : interface name, or ``auto``, as etc/arpd/arpd.yaml explains it
     capacity_bytes_per_second : pinned capacity; cross traffic is still subtracted; None = estimate (bytes/s)
     initial_capacity_bytes_per_second : capacity to assume before the first evidence (bytes/s)
     headroom : η, the share of the capacity that may be planned, 0..1

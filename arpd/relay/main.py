@@ -81,8 +81,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    link = (AUTO, settings.relay.robot) if is_far else (settings.link.interface, None)  # the file names the robot's
-    addresses = Addresses(partial(link_interface, *link))
+    interface = AUTO if is_far else settings.link.interface  # the file names the robot's
+    addresses = Addresses(partial(link_interface, interface, settings.relay.robot, settings.relay.base))
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
         parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later

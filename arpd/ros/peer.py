@@ -118,17 +118,20 @@ def serving(node: Any, *, reader: InterfaceReader, name: str) -> Iterator[tuple[
 class ProbeStatus:
     """Status line of a peer for `systemctl status`: whether a daemon's probes arrive, and since when."""
 
-    def __init__(self, task: str, *, tell: Callable[[str], None]) -> None:
+    def __init__(self, task: Callable[[], str], *, tell: Callable[[str], None]) -> None:
         self._task, self._tell = task, tell
-        self._has_probes = False
-        tell(f"{task}; no probes yet: arpd on the robot is not running, not reachable, or in another ROS domain")
+        self._seen = "no probes yet: arpd on the robot is not running, not reachable, or in another ROS domain"
+        self._has_probes, self._told = False, ""
+        self.update(-math.inf)
 
     def update(self, probed_s: float) -> None:
         """Tell the line again if it has changed since the last probe (monotonic clock, s)."""
         if (has_probes := time.monotonic() - probed_s < _QUIET_S) != self._has_probes:
             self._has_probes = has_probes
-            seen = "probes arrive" if has_probes else "no probes"
-            self._tell(f"{self._task}; {seen} since {time.strftime('%Y-%m-%d %H:%M:%S')}")
+            self._seen = f"{'probes arrive' if has_probes else 'no probes'} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
+        if (line := f"{self._task()}; {self._seen}") != self._told:
+            self._told = line
+            self._tell(line)
 
 
 def default_name(interface: str) -> str:
@@ -157,14 +160,14 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    reader = InterfaceReader(interface, choose=partial(interface_towards, relay.robot))
+    reader = InterfaceReader(interface, choose=partial(interface_towards, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
-    addresses = Addresses(partial(link_interface, interface, relay.robot))
+    addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base))
     with control_node("arpd_peer", link) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()
-        status = ProbeStatus(f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
+        status = ProbeStatus(lambda: f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
         serve_until(
             stopping,
             heartbeat=Watchdog(notifier, parts=[lambda: thread.finished_s]),

@@ -123,7 +123,7 @@ def test_each_robot_of_a_base_computer_is_judged_by_what_its_far_end_says(line, 
 def test_a_robot_that_is_not_there_is_named_once():
     """Its relay says more than its peer does; without a relay the peer's line stands."""
     lines = []
-    pytest.importorskip("arpd.ros.peer", exc_type=ImportError).ProbeStatus("reporting", tell=lines.append)
+    pytest.importorskip("arpd.ros.peer", exc_type=ImportError).ProbeStatus(lambda: "reporting", tell=lines.append)
     peer = unit("active", says=lines[0]).units["arpd"]
     relay = unit("active", says=far_line(SERVED, is_met=False)).units["arpd"]
     told = checks.robots(Namespace(units={"arpd-peer@a": peer, "arpd-relay-far@a": relay, "arpd-peer@b": peer})).text

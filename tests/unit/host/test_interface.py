@@ -47,6 +47,7 @@ class Kernel:
 
     def __init__(self):
         self.interfaces = {}
+        self.now_s = 0.0
 
     def put(self, name, *, state=InterfaceState.UP, rx=(0, 0), dropped=0):
         self.interfaces[name] = LinkCounters(
@@ -54,7 +55,14 @@ class Kernel:
         )
 
     def reader(self, name, choose=lambda: None, addresses=dict):
-        return interface.InterfaceReader(name, read=self.interfaces.get, choose=choose, addresses=addresses)
+        return interface.InterfaceReader(
+            name,
+            read=self.interfaces.get,
+            choose=choose,
+            is_radio=lambda name: name.startswith("wl"),
+            addresses=addresses,
+            clock=lambda: self.now_s,
+        )
 
 
 @pytest.fixture
@@ -94,8 +102,8 @@ def test_an_interface_that_is_not_there_at_first_is_taken_when_it_comes(kernel, 
     assert received(reader.read()) == (500, 5)
 
 
-def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
-    """A late radio replaces an interface that was never up; an interface that was up stays the link."""
+def test_auto_takes_what_comes_and_stays_with_a_radio_that_was_up(kernel, caplog):
+    """A late radio replaces a cable; a radio that was up stays the link, however long it is away."""
     caplog.set_level("INFO")
     choice: list[str | None] = [None]
     reader = kernel.reader("auto", choose=lambda: choice[0])
@@ -108,8 +116,33 @@ def test_auto_takes_what_comes_and_stays_with_what_was_up(kernel, caplog):
     assert (received(reader.read()), reader.name) == ((500, 5), "wlan0")
     choice[0] = "eth0"
     kernel.put("wlan0", state=InterfaceState.NO_CARRIER, rx=(600, 6))
-    assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
+    for _ in range(20):
+        kernel.now_s += 1.0
+        assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
     assert len(caplog.records) == 5
+
+
+def test_auto_leaves_a_cable_that_is_pulled_and_one_beside_a_radio(kernel):
+    """A robot that boots at its cable measures its radio later; one without a radio, what carries its traffic."""
+    choice = ["eth0"]
+    reader = kernel.reader("auto", choose=lambda: choice[0])
+    kernel.put("eth0", rx=(900, 9))
+    kernel.put("eth1", rx=(70_000, 70))
+    reader.read()
+    choice[0] = "eth1"
+    kernel.now_s += 60.0
+    assert (received(reader.read()), reader.name) == ((900, 9), "eth0")  # it is up, and may carry the traffic
+    kernel.put("eth0", state=InterfaceState.NO_CARRIER, rx=(900, 9))
+    names = []
+    for _ in range(15):
+        kernel.now_s += 1.0
+        counters = reader.read()
+        names.append(reader.name)
+    assert (names.count("eth0"), received(counters)) == (10, (900, 9))
+    kernel.put("wlan0", rx=(5, 5))
+    choice[0] = "wlan0"
+    kernel.now_s += 1.0
+    assert (received(reader.read()), reader.name) == ((900, 9), "wlan0")
 
 
 @pytest.mark.parametrize(("configured", "followed"), [("auto", "wlan1"), ("wlan0", "wlan0")])

@@ -36,6 +36,7 @@ def test_the_route_to_this_computer_is_the_loopback(network):
 
 
 def test_the_link_is_where_the_other_end_is(network, monkeypatch):
-    """A base computer with Ethernet and Wi-Fi reports what arrives from its robot; a name is not looked up."""
+    """So is this end's own address, where no route leads to the other; a name is not looked up."""
     monkeypatch.setattr(kernel, "likeliest_interface", lambda: "wlan0")
     assert [interface_towards(end) for end in ("127.0.0.1", "192.0.2.77", "localhost", None)] == ["lo", *3 * ["wlan0"]]
+    assert [interface_towards(end, "127.0.0.1") for end in ("192.0.2.77", "localhost", None)] == 3 * ["lo"]
