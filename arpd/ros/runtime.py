@@ -35,7 +35,14 @@ OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
+# Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), and DomainParticipantFactory::get_instance() with
+# set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the profiles again.
 _LOAD_PROFILE = "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager13loadXMLStringEPKcm"
+_FACTORY = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory12get_instanceEv"
+_SET_DEFAULT = (
+    "_ZN8eprosima7fastdds3dds24DomainParticipantFactory27set_default_participant_qosERKNS1_20DomainParticipantQosE"
+)
+_DEFAULT = "_ZN8eprosima7fastdds3dds23PARTICIPANT_QOS_DEFAULTE"
 
 
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
@@ -56,18 +63,20 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
 
 
 def write_for_this_host(environment: Mapping[str, str] = os.environ) -> None:
-    """Give the writers of participants that are made from now on a profile for readers on this host alone.
+    """Give participants that are made from now on, and their writers, a profile for nodes on this host alone.
 
-    Fast DDS loads a file of profiles once in a process, and each participant takes the default of its writers when it
-    is made. Where the user has chosen another profile, readers may be on other hosts, or Fast DDS has no such function,
-    writers keep the profile of the process: it loses nothing either, and costs more.
+    Fast DDS loads a file of profiles once in a process, and a participant takes its default, and that of its writers,
+    when it is made. Where the user has chosen another profile, nodes may be on other hosts, or Fast DDS has no such
+    functions, they keep the profile of the process: it loses nothing either, costs more, and is found later.
     """
     is_ours = environment.get(PROFILE_VARIABLES[0]) == str(TWO_ENDED_PROFILE)
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
-        with suppress(OSError, AttributeError):
-            load = ctypes.CDLL("librmw_fastrtps_cpp.so")[_LOAD_PROFILE]
-            profile = _GHOSTS_PROFILE.read_bytes()
-            load(profile, ctypes.c_size_t(len(profile)))
+        with suppress(OSError, AttributeError, ValueError):
+            fast_dds, profile = ctypes.CDLL("librmw_fastrtps_cpp.so"), _GHOSTS_PROFILE.read_bytes()
+            fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile)))
+            (factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
+            default = ctypes.c_char.in_dll(fast_dds, _DEFAULT)
+            fast_dds[_SET_DEFAULT](ctypes.c_void_p(factory()), ctypes.byref(default))
 
 
 def _is_another(path: Path) -> bool:

@@ -65,6 +65,40 @@ with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")) as link:
 """
 
 
+ANNOUNCED = f"""
+import socket
+from arpd.model.settings import LinkDomain
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
+
+def ear(domain, participant):  # announcements go to the ports of participants, whether there are any or not
+    ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    ear.bind(("127.0.0.1", 7400 + 250 * domain + 10 + 2 * participant))
+    return ear
+
+prepare_environment(TWO_ENDED_PROFILE)
+on_link, here = ear({DOMAIN + 1}, 3), ear({DOMAIN}, 20)
+with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
+    write_for_this_host()
+    with ros_node("end"):
+        on_link.setblocking(False)
+        more = 0  # announcements here than on the link
+        while more < 3:
+            here.recv(65536)
+            more += 1
+            try:
+                while on_link.recv(65536):
+                    more -= 1
+            except BlockingIOError:
+                pass
+"""
+
+
+def test_an_end_announces_itself_more_often_on_its_host_than_on_the_link(ros):
+    """A node that starts there waits for the next announcement, and those cost no link."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
+    subprocess.run([sys.executable, "-c", ANNOUNCED], env=environment, cwd=REPO, check=True, timeout=30.0)
+
+
 def test_an_end_asks_readers_on_its_host_less_often_than_the_other_end(ros):
     """Its ghosts lose next to nothing, so Fast DDS gives them another profile than the writers on the link."""
     for side in (ros, ros.elsewhere(DOMAIN + 1)):

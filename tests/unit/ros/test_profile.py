@@ -95,6 +95,20 @@ def test_the_daemon_s_profile_is_that_of_the_ends_without_their_socket():
     assert next(lines) == next(lines)
 
 
+def test_an_end_is_on_its_host_what_it_is_on_the_link_but_for_announcements():
+    """The participants differ in nothing else; and Fast DDS takes no second profile of a name."""
+    link, here = (
+        ET.parse(path).getroot() for path in (TWO_ENDED_PROFILE, TWO_ENDED_PROFILE.with_stem("fastdds-ghosts"))
+    )
+    assert not {each.get("profile_name") for each in link.iter()} & {
+        each.get("profile_name") for each in here.iter()
+    } - {None}
+    for participant in (found := [*link.findall(".//{*}rtps"), *here.findall(".//{*}rtps")]):
+        participant.remove(participant.find("{*}builtin"))
+    lines = [[line.strip() for line in ET.tostring(each, encoding="unicode").splitlines()] for each in found]
+    assert lines[0] == lines[1]
+
+
 HEARTBEAT = "<times><heartbeatPeriod><sec>0</sec></heartbeatPeriod></times>"
 
 
