@@ -78,25 +78,25 @@ class Record:
         self._reports += len(snapshot.observation.reports)
         self.snapshot = snapshot
 
-    def count(self, picture: Snapshot, *, program: Program, governor: Governor) -> None:
+    def count(self, snapshot: Snapshot, *, program: Program, governor: Governor) -> None:
         """Count the ticks up to one that planned, and add its events to the decision log."""
-        if picture.allocation.topics:
-            self._timed("solve_duration", picture.allocation.solve_s)
+        if snapshot.allocation.topics:
+            self._timed("solve_duration", snapshot.allocation.solve_s)
         self.totals = replace(
             self.totals,
             ticks=self._ticks,
             ticks_late=self._late,
             solves_by_outcome=MappingProxyType(dict(program.outcomes)),
             plans_by_cause=MappingProxyType(dict(governor.plans_by_cause)),
-            applies_by_result=MappingProxyType(dict(picture.observation.answers)),
+            applies_by_result=MappingProxyType(dict(snapshot.observation.answers)),
             probes=self._probes,
             probe_bytes=self.probe_bytes,
             reports=self._reports,
         )
-        self.found = find(picture)
-        picture = replace(picture, totals=self.totals, found=self.found)
+        self.found = find(snapshot)
+        snapshot = replace(snapshot, totals=self.totals, found=self.found)
         try:
-            for event in self._decision_log.follow(picture):
+            for event in self._decision_log.follow(snapshot):
                 self._tell(event)
         except Exception:
             # A fault in the log must not stop the daemon.
@@ -105,6 +105,6 @@ class Record:
             self._has_failed = True
         self.events = self._decision_log.events
         self.totals = replace(self.totals, events_by_kind=self._decision_log.counts_by_kind)
-        self.snapshot = replace(picture, totals=self.totals, events=self.events)
+        self.snapshot = replace(snapshot, totals=self.totals, events=self.events)
         self.counted += 1
         self.history.note(self.snapshot)

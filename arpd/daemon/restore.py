@@ -54,11 +54,11 @@ def restore(
             generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))
             rows = {publisher.topic: _own_qos(publisher, is_paced=is_paced) for publisher in publishers}
             plan = QosPlan(generation=generation, topics=rows)
-            come = progress(publishers, plan)
-            missing = len(publishers) - come.confirmed
-            if not (missing or come.missing) or now_s - begun_s > until_s:
+            shown = progress(publishers, plan)
+            missing = len(publishers) - shown.confirmed
+            if not (missing or shown.missing) or now_s - begun_s > until_s:
                 break
-            world.apply(plan, lease_s=0.0, missing=come.missing, now_s=now_s)
+            world.apply(plan, lease_s=0.0, missing=shown.missing, now_s=now_s)
             wait()
     return missing
 

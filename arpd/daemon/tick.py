@@ -46,12 +46,12 @@ _HEAR_S = 5.0  # time until every endpoint with a plan, and any other daemon, ha
 
 
 class Planned(NamedTuple):
-    """What the last tick that planned found: rows, their division, the decision, and how far its plan has come."""
+    """What the last tick that planned found: rows, their division, the decision, and who shows its plan."""
 
     topics: Sequence[Topic] = ()
     allocation: Allocation = Allocation()
     decision: Decision = Decision()
-    come: Progress = Progress()
+    progress: Progress = Progress()
 
 
 class Daemon:
@@ -152,7 +152,7 @@ class Daemon:
 
     def _news(self, seen: Observation, link: LinkEstimate) -> tuple[object, ...]:
         """Return what calls for a plan when it changes; while one is under way, all that nodes tell."""
-        told = seen.publishers if self._planned.come.missing else len(seen.publishers)
+        told = seen.publishers if self._planned.progress.missing else len(seen.publishers)
         interface = self.interface if self._has_interface else ""
         return link.state, self._estimator.has_evidence, told, seen.active_daemon, interface
 
@@ -188,16 +188,16 @@ class Daemon:
             publishers=seen.publishers,
             participants=max(1, seen.remote_participants),
         )
-        come = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
-        self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=come.missing, now_s=seen.now_s)
-        self._planned = Planned(topics, rates, decision, come)
+        shown = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
+        self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=shown.missing, now_s=seen.now_s)
+        self._planned = Planned(topics, rates, decision, shown)
 
     def _follow(self, seen: Observation, link: LinkEstimate, budget: float) -> None:
         """Let the price follow the link, by the closed form; the plan in force stays."""
-        topics, allocation, decision, come = self._planned
+        topics, allocation, decision, shown = self._planned
         price = self._of_now(topics, seen, link, budget).price() if topics and not seen.active_daemon else None
         allocation = replace(allocation, price=price, budget_bytes_per_second=budget)
-        self._planned = Planned(topics, allocation, replace(decision, reason=""), come)
+        self._planned = Planned(topics, allocation, replace(decision, reason=""), shown)
 
     def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:
         """Return the rows on the link of this moment."""
@@ -246,7 +246,7 @@ class Daemon:
             settings=self.settings,
             config_path=configuration.path,
             config_error=configuration.error,
-            confirmed=self._planned.come.confirmed,
+            confirmed=self._planned.progress.confirmed,
             lease_s=self.settings.lease_s,
             config_loaded_at_s=configuration.loaded_at_s,
             keys_awaiting_restart=configuration.awaiting_restart,

@@ -347,6 +347,12 @@ class Estimator:
         return max(parameters.BURST_BYTES, parameters.BURST_SHARE * self._largest_bytes)
 
     @property
+    def _delivered(self) -> float:
+        """What arrives lately; without a peer, what leaves this host (bytes/s)."""
+        is_alone = self._last_s - self._reported_s > self._outage_s
+        return self._local.sent_bytes_per_second() if is_alone else self._peers.delivery()[0]
+
+    @property
     def _is_resting(self) -> bool:
         """True while next to nothing leaves or arrives, of topics or of others; traffic that begins ends that."""
         return self._last_s - self._used_s > parameters.RESTING_S
@@ -367,7 +373,7 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
-            delivery_rate_bytes_per_second=0.0 if is_out else self._peers.delivery()[0],
+            delivery_rate_bytes_per_second=0.0 if is_out else self._delivered,
             is_resting=self._is_resting,
             age_s=0.0 if self._is_pinned else now_s - since_s,
             evidence=evidence,

@@ -45,7 +45,8 @@ class LinkEstimate:
     queue_delay_s : queue before the link now, the longest that pings, bytes or this host show (s)
     queue_allowance_s : delay that one large message explains; only a longer one is a standing queue (s)
     standing_delay_s : shortest queue of the last moments; bursts come and go, and leave it at 0 (s)
-    delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms (bytes/s)
+    delivery_rate_bytes_per_second : bytes that the peer received over the last 300 ms; without one, those that left
+        this host (bytes/s)
     is_resting : True while next to nothing crosses the link
     age_s : time since the newest evidence for the capacity (s)
     evidence : the last change, in words

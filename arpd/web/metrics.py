@@ -137,7 +137,7 @@ def _of_link(snapshot: Snapshot) -> Iterator[Metric]:
     yield _family("link_queue_delay_seconds", "One-way delay above its minimum of the last 10 s.", link.queue_delay_s)
     text = "One-way delay of the peer's reports above its minimum of the last 10 s; commands wait as long."
     yield _family("link_return_delay_seconds", text, link.return_delay_s)
-    text = "Bytes per second that the peer received over the last 300 ms."
+    text = "Bytes per second that the peer received over the last 300 ms; without one, those that left this host."
     yield _family("link_delivery_rate_bytes_per_second", text, link.delivery_rate_bytes_per_second)
     yield _family("link_loss_ratio", "Share of recent probe packets that never reached a peer.", link.loss_ratio)
     yield _family("peers", "Peers heard in the last minute.", len(observation.peer_ages_s))

@@ -45,8 +45,10 @@ def test_one_drop_without_a_peer_starves_nobody():
 
 
 def test_without_a_peer_the_interface_alone_shows_a_fall():
-    """Without a peer, the queue of the interface shows a fall; it drains, and the link stays in use."""
+    """Without a peer, the queue of the interface shows a fall, and no more than it leaves; the link stays in use."""
     played = falling(has_peer=False)
+    stated = [tick.snapshot.link.capacity_bytes_per_second for tick in played.between(FALLS_S + 3.0, LASTS_S)]
+    assert max(stated) < 1.1 * 5.0 * MBIT
     waits = queues(played.result, FALLS_S + 5.0, LASTS_S)
     assert waits[len(waits) // 2] < 0.2
     assert goodput(played.result, FALLS_S + 5.0, LASTS_S) > 0.5 * 5.0 * MBIT
