@@ -44,6 +44,8 @@ def _of_stopped(robot: ServiceState, used_on_base: list[str]) -> str:
         return f"this is the other end of the link, with {listed(used_on_base, most=4)}: run arpd status on the robot"
     if not robot.is_installed:
         return "there is no arpd.service here: install arpd, or start it by hand: arpd run --config FILE"
+    if robot.is_masked:
+        return "arpd.service is masked: sudo systemctl unmask arpd && sudo systemctl enable --now arpd"
     return f"arpd.service is not started: sudo systemctl {'start' if robot.is_enabled else 'enable --now'} arpd"
 
 

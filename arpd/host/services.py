@@ -24,6 +24,7 @@ class ServiceState:
     ----------
     is_installed : whether there is a unit file
     is_enabled : whether it starts at boot
+    is_masked : whether systemd may not start it
     active : ``active``, ``activating``, ``inactive``, ``failed`` …
     result : reason of the last end, ``success`` where nothing went wrong
     exit_code : exit code of the last main process, None where a signal ended it or none has ended
@@ -34,6 +35,7 @@ class ServiceState:
     is_installed: bool
     is_enabled: bool
     active: str
+    is_masked: bool = False
     result: str = ""
     exit_code: int | None = None
     is_restarted: bool = False
@@ -88,6 +90,7 @@ def _state_of(properties: dict[str, str]) -> ServiceState:
         is_installed=properties.get("LoadState") not in {None, "not-found"},
         is_enabled=properties.get("UnitFileState") == "enabled",
         active=properties.get("ActiveState", ""),
+        is_masked=properties.get("LoadState") == "masked",
         result=properties.get("Result", ""),
         exit_code=int(code) if has_exited and code.isdecimal() else None,
         is_restarted=is_again and properties.get("ActiveState") == "activating",

@@ -97,6 +97,7 @@ STOPPED = unit("inactive", is_enabled=False)
         (unit("failed", result="watchdog"), "inactive", "watchdog"),
         (unit("inactive"), "inactive", "systemctl start arpd"),
         (STOPPED, "inactive", "systemctl enable --now arpd"),
+        (unit("inactive", is_enabled=False, is_masked=True), "inactive", "systemctl unmask arpd"),
         (STOPPED, "active", "with arpd-peer@robot1: run arpd status on the robot"),
         (unit("inactive", is_enabled=False, is_installed=False), "inactive", "arpd run --config"),
     ],

@@ -21,7 +21,7 @@ ExecMainCode=2
 ExecMainStatus=9
 Result=signal
 Id=arpd-peer@robot1.service
-LoadState=not-found
+LoadState=masked
 ActiveState=inactive
 SubState=dead
 StatusText=no probes; a=b
@@ -41,8 +41,9 @@ def test_each_unit_has_its_state():
     assert states == {
         "arpd": ServiceState(is_installed=True, is_enabled=True, active="failed", result="exit-code", exit_code=78),
         "arpd-peer@robot1": ServiceState(
-            is_installed=False,
+            is_installed=True,
             is_enabled=False,
+            is_masked=True,
             active="inactive",
             result="signal",
             says="no probes; a=b",
