@@ -63,7 +63,10 @@ def _event(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Event:
         is_hz = now[topic].rate_hz if topic in now else source_hz
         moved.append(Change(topic, was_hz, is_hz, weight=abs(math.log(max(is_hz, 1e-3) / max(was_hz, 1e-3)))))
     words = changes(moved, " Hz")
-    condition = Condition.LIMITED if now else Condition.CLEAR
-    what = f"the link slows {count(len(now), 'topic')}" if now else "the link slows no topic any longer"
+    condition, what = Condition.LIMITED, f"the link slows {count(len(now), 'topic')}"
+    if not now:
+        condition, what = Condition.CLEAR, "the link slows no topic any longer"
+    elif not any(change.after < change.before for change in moved):
+        condition, what = Condition.CLEAR, f"the link lets {count(len(moved), 'topic')} send more"
     details = {"topics_slowed": str(len(now))}
     return Event(Happening.RATES, condition.severity, f"{what}: {words}" if words else what, details=details)

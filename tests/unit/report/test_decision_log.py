@@ -165,6 +165,7 @@ def test_an_interface_that_goes_ends_no_outage(log):
 
 FULL = slowed(camera=30.0, front=20.0, rear=20.0, imu=100.0)
 FELL = slowed(camera=2.1, front=12.0, rear=12.0, imu=100.0)
+ROSE = slowed(camera=10.0, front=18.5, rear=20.0, imu=100.0)
 
 
 def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
@@ -176,8 +177,11 @@ def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
     assert (slowed.kind, slowed.severity) == (Happening.RATES, Severity.WARNING)
     assert all(number in slowed.text for number in ("3 topics", "/camera 30 → 2.1 Hz", "/front and /rear 20 → 12 Hz"))
     assert not log.wait(30.0)
+    (rose,) = log.wait(12.0, topics=ROSE)
+    assert rose.severity is Severity.INFO
+    assert rose.text.startswith("the link lets 3 topics send more: /camera 2.1 → 10 Hz")
     (free,) = log.wait(12.0, topics=FULL)
-    assert (free.severity, "/camera 2.1 → 30 Hz" in free.text) == (Severity.INFO, True)
+    assert (free.severity, "/camera 10 → 30 Hz" in free.text) == (Severity.INFO, True)
 
 
 # -- publishers
