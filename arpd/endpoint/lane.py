@@ -123,7 +123,7 @@ class Lane:
         self.is_kept = is_kept
         self._weight = weight
         self._patience_s = patience_s
-        self._begun_waiting_s = math.inf  # when its first sample came
+        self._begun_waiting_s = math.inf  # when its first sample came while a daemon was there
         self.claimant: int | None = None
         self.is_closing = False
         self.blocked_s = 0.0
@@ -338,10 +338,9 @@ class Lane:
 
     def _note(self, message: bytes, now_s: float) -> None:
         self.offered_rate.count(now_s)
-        if self.payload_bytes:
-            self.payload_bytes += 0.1 * (len(message) - self.payload_bytes)
-        else:
-            self._begun_waiting_s, self.payload_bytes = now_s, float(len(message))
+        self.payload_bytes += (0.1 if self.payload_bytes else 1.0) * (len(message) - self.payload_bytes)
+        if self.price is not None:
+            self._begun_waiting_s = min(self._begun_waiting_s, now_s)
 
     def _most_small(self, waiting: int, now_s: float) -> int:
         """Return how many small samples of a source may wait.

@@ -242,6 +242,13 @@ def test_large_samples_have_what_is_spare_until_their_first_plan(share, rate_hz)
     assert world.flow.state().withheld > 0
 
 
+def test_the_wait_for_a_plan_begins_when_the_daemon_is_heard():
+    """A camera that started before it waits as long as any other: the plan takes no less time."""
+    world = World()
+    begin(world, 3.5, price=None)
+    assert begin(world, 3.5, price=spare(0.0)) < 15
+
+
 @pytest.mark.parametrize(
     ("sample", "overflow", "price"),
     [(SMALL, Overflow.LATEST, spare(0.0)), (LARGE, Overflow.QUEUE, spare(0.0)), (LARGE, Overflow.LATEST, None)],
