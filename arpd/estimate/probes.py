@@ -28,7 +28,7 @@ SMALL_TRAIN_PACKETS, SMALL_PACKET_BYTES = 16, 16  # number and payload of the pa
 SMALL_EVERY, PAIR_S = 10, 0.15
 # Least time between trains: before any measurement, in general, and while the capacity is doubtful.
 FIRST_S, CALM_S, DOUBTFUL_S = 0.25, 2.5, 0.5
-SHORT_S, SHORT_TRAIN_S = 1.0, 0.02  # the same while more is asked, where a train takes no longer than the second
+SHORT_S, SHORT_TRAIN_S = 1.0, 0.09  # the same while more is asked, where a train takes no longer than the latter
 RESTING_TRAIN_S = 60.0  # time between trains then
 TRAIN_MOST_S = 15.0  # most time between trains at any cost, because only a train shows that a link became better
 SAVED_S = 5.0  # span of the budget that can be saved
@@ -109,7 +109,7 @@ class ProbeSchedule:
         elif is_resting or not can_pay:
             pause_s = RESTING_TRAIN_S if is_resting else TRAIN_MOST_S
         else:
-            pause_s = SHORT_S if is_short else CALM_S
+            pause_s = max(SHORT_S, cost / (budget + more)) if is_short else CALM_S
         if now_s >= self._small_at_s:
             self._small_at_s = math.inf
             self._spend(copies * SMALL_TRAIN_PACKETS * probe_wire_bytes(SMALL_PACKET_BYTES), is_measured=is_measured)
