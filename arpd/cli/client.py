@@ -216,7 +216,7 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     elif isinstance(error, (OSError, HTTPTimeoutError)) and not isinstance(error, ConnectionResetError):
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
         reason = "timed out" if is_late else getattr(error, "strerror", None) or error
-        hint = "is it running (systemctl status arpd), and is http.port the same?"
+        hint = "is it running (systemctl status arpd), and do its http.host and http.port name this address?"
         why = f"no daemon answers at {url} ({reason}); {hint}"
         return NoAnswerError(why, url=url, is_late=is_late)
     else:

@@ -85,7 +85,7 @@ STOPPED = unit("inactive", is_enabled=False)
 @pytest.mark.parametrize(
     ("robot", "other_end", "said"),
     [
-        (unit("active"), "inactive", "http.host"),
+        (unit("active"), "inactive", "compare http.host"),
         (unit("activating"), "inactive", "ask again"),
         (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
         (
