@@ -63,12 +63,9 @@ class CapacityBelief:
         moved = 0.5 * _DRIFT**2 * elapsed_s / _BIN**2
         self._p = np.convolve(self._p, (moved, 1.0 - 2.0 * moved, moved), mode="same")
         self._usual += -math.expm1(-elapsed_s / _USUAL_S) * (self._p - self._usual)
-        self.scatter(-math.expm1(-_JUMPS_HZ * elapsed_s))
-
-    def scatter(self, part: float) -> None:
-        """Let a part of the belief jump up or down."""
+        jumped = -math.expm1(-_JUMPS_HZ * elapsed_s)
         anywhere = np.convolve(self._p, _JUMPED, mode="same")
-        p = (1.0 - part) * self._p + part * ((1.0 - _RETURNS) * anywhere + _RETURNS * self._usual)
+        p = (1.0 - jumped) * self._p + jumped * ((1.0 - _RETURNS) * anywhere + _RETURNS * self._usual)
         self._p = p / p.sum()  # some jumped beyond the grid
 
     def delivered_busy(self, rate: float, *, weight: float = 1.0, overhead: float = 0.0) -> None:

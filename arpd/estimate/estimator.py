@@ -75,7 +75,6 @@ class Estimator:
         self._pinged: list[float] = []
         self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
         self._queues = QueuePast()
-        self._learns_from_s = -math.inf
         self._used_s = math.inf  # when more than next to nothing left or arrived last
 
     @property
@@ -213,11 +212,8 @@ class Estimator:
         # Where they were lost, they look the same until a later one arrives.
         self._schedule.hurry()
         self._trains.clear()
-        # Reports that waited describe the outage, and the first delivery is only what the budget let pass.
-        self._learns_from_s = now_s + parameters.RESUME_PATIENCE_S
         if self._stated.kind is CapacityKind.PEER:
             self._stated.fell_at_s = now_s
-            self._stated.belief.scatter(0.7)
             self._stated.change(now_s, f"reports resumed after {silent_s:.1f} s of silence")
 
     # -- the capacity
@@ -227,13 +223,12 @@ class Estimator:
         pinged, self._pinged = self._pinged, []
         if now_s - self._reported_s > self._outage_s:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        seen = shown = ""
+        seen = ""
         for rate in self._trains.take(packet_overhead_s=self._overhead_s):
             self._stated.belief.wait(now_s)
             self._stated.belief.train(rate)
             seen = f"trains see {format_rate(rate)}"
-        if now_s > self._learns_from_s:
-            shown = self._weigh_delivery(now_s, pinged, has_reports=has_reports)
+        shown = self._weigh_delivery(now_s, pinged, has_reports=has_reports)
         # Beside a queue that stands no train leaves, and what is delivered is the capacity.
         is_measured = self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS
         why = "; ".join(filter(None, (seen, shown)))

@@ -30,6 +30,5 @@ RADIO_SHARE = 0.7
 # Silence.
 OUTAGE_S, OUTAGE_FORGET_S = 0.4, 1.0  # silence that is an outage, and silence after which measurements are forgotten
 PEER_LOST_S = 10.0  # silence after which a peer is gone
-RESUME_PATIENCE_S = 0.5  # time after an outage in which deliveries say nothing of the capacity
 RESENDS_S = 1.0  # time after an outage in which what it took is sent again
 FIRST_WAIT_S = 3.0  # time that the first plan waits for evidence

@@ -79,7 +79,7 @@ class End:
         on_change: Callable[[str], None],
     ) -> None:
         self._is_far, self._on_change = is_far, on_change
-        self._node, self._link_node = node, link_node
+        self._link_node = link_node
         self._side = Side.of(settings, is_far=is_far)
         self._view, self._link_view = GraphView.of(node), GraphView.of(link_node)
         self._announced = AnnouncedParticipants(node.context.get_domain_id())

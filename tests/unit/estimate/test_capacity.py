@@ -51,7 +51,6 @@ EVIDENCE = st.one_of(
     st.tuples(st.sampled_from(["delivered_busy", "carried", "train"]), RATES),
     st.tuples(st.just("ping"), RATES, st.booleans(), st.floats(0.0, 1.0)),
     st.tuples(st.just("wait"), st.floats(0.0, 1e4)),
-    st.tuples(st.just("scatter"), st.floats(0.0, 1.0)),
 )
 
 

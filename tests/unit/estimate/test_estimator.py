@@ -193,15 +193,6 @@ def test_after_an_outage_two_trains_show_the_link(part):
     assert estimate.capacity_bytes_per_second == about(part * FIRST, 0.15)
 
 
-def test_what_an_outage_held_up_is_a_queue():
-    """Pings that left before an outage ended, and arrive late, show that they waited, and how long."""
-    link = Link().measured()
-    link.ticks(30, silent=True)
-    estimate = link.ticks(3, delay_s=1.5)
-    assert 1.2 < estimate.queue_delay_s < 1.8
-    assert estimate.state is LinkState.DRAINING
-
-
 @pytest.mark.parametrize("trouble", [{"silent": True}, FALLEN], ids=["outage", "queue"])
 def test_an_outage_or_a_queue_stops_the_trains(trouble):
     """A train would measure nothing, and would lengthen a queue; pings are rare in an outage."""
