@@ -73,6 +73,8 @@ class AdaptivePublisher:
     ``publisher_class`` of `Node.create_publisher` is not supported: a swap would lose the state of such an object, for
     example whether a lifecycle publisher is active.
 
+    `retune`, `set_price`, `service` and `state` are for arpd's own threads: the next plan undoes what others do there.
+
     Raises
     ------
     ValueError, TypeError

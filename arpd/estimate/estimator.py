@@ -372,7 +372,7 @@ class Estimator:
             is_resting=self._is_resting,
             age_s=0.0 if self._is_pinned else now_s - since_s,
             evidence=evidence,
-            cross_traffic_bytes_per_second=cross_traffic,
+            cross_traffic_bytes_per_second=min(cross_traffic, capacity),
             packet_overhead_s=self._overhead_s,
             # In an outage nobody knows whether unanswered probes are lost.
             loss_ratio=None if is_out else self._loss.ratio(now_s),

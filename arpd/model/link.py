@@ -51,7 +51,7 @@ class LinkEstimate:
     age_s : time since the newest evidence for the capacity (s)
     evidence : the last change, in words
     packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
-    cross_traffic_bytes_per_second : bytes on the link that arpd's topics and probes do not explain (bytes/s)
+    cross_traffic_bytes_per_second : of the capacity, what arpd's topics and probes do not explain (bytes/s)
     loss_ratio : share of recent probe packets that never arrived, None while too few were sent to tell
     return_delay_s : one-way delay of the peer's reports above its recent minimum; commands to the robot wait as long.
         None without a peer (s)

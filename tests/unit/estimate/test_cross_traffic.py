@@ -14,6 +14,7 @@ from arpd.model.wire import wire_size
 from tests.examples import examples
 from tests.sample_link import INTERFACE, observation
 from tests.sample_publishers import publisher
+from tests.unit.estimate.test_estimator import FIRST, Link
 
 TICK_S = 0.1
 WINDOW_S = 3.0
@@ -173,3 +174,9 @@ def test_what_a_relay_sends_is_its_own(cross_traffic):
         measured.append(traffic.update(observation(now_s, counters=counters, relay=summary)))
     expected = max(0.0, cross_traffic - ALLOWANCE * own - CHATTER)
     assert measured[60:] == pytest.approx([expected] * 40, abs=0.03 * own)
+
+
+def test_what_is_dropped_before_the_link_is_not_on_it():
+    """Behind an access point that drops most of what leaves this host, cross traffic is the whole link at most."""
+    estimate = Link().measured().ticks(60, sent=8 * FIRST)
+    assert 0.0 < estimate.cross_traffic_bytes_per_second <= estimate.capacity_bytes_per_second

@@ -271,10 +271,7 @@ def test_a_peer_that_returns_needs_new_trains():
 
 @pytest.mark.parametrize("looks", [1, 3])
 def test_more_looks_at_the_same_bytes_are_no_more_evidence(looks):
-    """A strange rate over 50 ms is an outlier, however often the interface is read; without a peer that is often, too.
-
-    What leaves this host counts as delivered then.
-    """
+    """A strange rate over 50 ms is an outlier, however often this host looks; what leaves it counts as delivered."""
     link = Link()
     assert sent_alone(link, 130, backlog=200_000, peers=0).delivery_rate_bytes_per_second == about(300_000)
     for _ in range(looks):
