@@ -281,19 +281,19 @@ def who_confirmed(snapshot: Snapshot) -> str:
 
 
 def _effect(snapshot: Snapshot) -> str:
-    """Say whether a decision helped: it did when little queues; a radio may lose packets all the same."""
+    """Say whether a decision helped: little queues then; a radio may lose packets all the same."""
     link = snapshot.link
     if without := _unmeasured(snapshot):
         return without
-    helps = link.queue_delay_s <= link.queue_allowance_s
-    return f"{'it helps' if helps else 'it does not help yet'}: {_queue_and_loss(snapshot)}"
+    is_short = link.queue_delay_s <= link.queue_allowance_s
+    return f"{'' if is_short else 'still '}{_queue_and_loss(snapshot)}"
 
 
 def _unmeasured(snapshot: Snapshot) -> str:
-    """Say that nobody measures the link, empty where a peer does."""
+    """Say that no peer measures the queue, empty where one does."""
     if waiting.is_reported(snapshot):
         return ""
-    return "no peer reports, so the capacity is a guess and nobody measures the queue"
+    return "no peer reports, so nobody measures the queue beyond this computer"
 
 
 def _queue_and_loss(snapshot: Snapshot) -> str:

@@ -30,12 +30,12 @@ def test_the_verdict_answers_the_four_questions():
     """A limited link: that it is the limit, what arpd slowed, how much, and whether it helps."""
     verdict = judge(changed(**CALM)).verdict
     assert (verdict.condition, verdict.condition.severity) == (Condition.LIMITED, Severity.WARNING)
-    for number in ("3.4 Mbit/s of 4 Mbit/s", "1 of 3 topics", "/camera/image", "30 → 12.5 Hz", "it helps: 12.5 ms"):
+    for number in ("3.4 Mbit/s of 4 Mbit/s", "1 of 3 topics", "/camera/image", "30 → 12.5 Hz", "; 12.5 ms of queue."):
         assert number in verdict.text
     queueing = judge(changed(link={"queue_delay_s": 0.3, "loss_ratio": 0.05})).verdict
-    assert all(words in queueing.text for words in ("does not help yet", "300 ms", "5 %"))
+    assert all(words in queueing.text for words in ("still 300 ms of queue", "5 %"))
     lossy = judge(changed(link={"queue_delay_s": 0.0, "loss_ratio": 0.05})).verdict
-    assert "it helps: no queue and 5 % loss" in lossy.text
+    assert "; no queue and 5 % loss." in lossy.text
 
 
 @pytest.mark.parametrize(
