@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from arpd import __version__
 from arpd.cli.no_daemon import failure
 from arpd.host import kernel, radio
-from arpd.host.interface import read_number
+from arpd.host.interface import SYS_NET, ipv4_addresses, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_duration, format_number, format_share, format_size, printable
 from arpd.model.wire import MOST_PACKET_BYTES, MTU_BYTES
@@ -153,6 +153,19 @@ def region(here: Here) -> Finding:
         "sudo iw reg set YOUR_COUNTRY   # its two letters",
         "echo 'options cfg80211 ieee80211_regdom=YOUR_COUNTRY' | sudo tee /etc/modprobe.d/arpd-region.conf   # its "
         "two letters; from the next start",
+    )
+
+
+def address(here: Here) -> Finding:
+    """Judge whether DDS can use the link."""
+    interface = here.interface
+    if (SYS_NET / interface / "master").exists():
+        return fine(f"{interface} is a port of another interface, which has the address")
+    if addresses := ipv4_addresses().get(interface):
+        return fine(f"{interface} has {listed(sorted(addresses))}")
+    return wrong(
+        f"{interface} has no IPv4 address, so nothing of arpd or of nodes with UDPv4 crosses it",
+        f"ip address show dev {quote(interface)}   # give it one, by DHCP or as `ip address add ADDRESS/24 dev` does",
     )
 
 
@@ -364,6 +377,6 @@ def configuration(here: Here) -> Finding:
 
 
 CHECKS = (
-    *(daemon, clock, power_save, signal, region, mtu, discovery, transports, receive_buffers, fragments),
+    *(daemon, clock, power_save, signal, region, address, mtu, discovery, transports, receive_buffers, fragments),
     *(profile, rmw, versions, units, robots, configuration),
 )

@@ -233,6 +233,15 @@ def test_each_fault_of_a_radio_has_its_remedy(monkeypatch, about, told, remedy):
     assert remedy in judged[about].remedies[0]
 
 
+def test_a_link_needs_an_address_unless_a_bridge_has_it(monkeypatch, tmp_path):
+    """A radio that has joined its network and got no address carries nothing of DDS."""
+    monkeypatch.setattr(checks, "ipv4_addresses", lambda: {"eth0": frozenset({"10.0.0.1"})})
+    monkeypatch.setattr(checks, "SYS_NET", tmp_path)
+    (tmp_path / "wlan1/master").mkdir(parents=True)
+    judged = {name: health(checks.address, Namespace(interface=name)) for name in ("eth0", "wlan0", "wlan1")}
+    assert judged == {"eth0": "fine", "wlan0": "wrong", "wlan1": "fine"}
+
+
 @pytest.mark.parametrize(
     ("own", "route", "expected"), [(1420, None, "fine"), (1419, None, "wrong"), (1500, 1280, "wrong")]
 )

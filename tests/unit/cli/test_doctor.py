@@ -36,6 +36,7 @@ def computer(monkeypatch):
         service_states=lambda *_: {"arpd": ACTIVE},
     )
     change(checks.kernel, read_mtu=lambda _name: 1500, route_mtu=lambda _address: None)
+    change(checks, ipv4_addresses=lambda: {"wlan0": frozenset({"10.0.0.1"})})
     change(checks.radio, radios_of=lambda _name: ["wlan0"], power_save=lambda _name: False)
     change(checks.radio, signal=lambda _name: -50, region=lambda _name: "DE")
     monkeypatch.delenv("RMW_IMPLEMENTATION", raising=False)
@@ -67,7 +68,7 @@ def healths(out):
 def test_what_is_well_is_only_counted(doctor):
     """The exit code is 0, with --json too."""
     code, out, err = doctor(offset_s=0.0)
-    assert (code, out, err) == (0, "16 checks fine\n", "")
+    assert (code, out, err) == (0, "17 checks fine\n", "")
     code, out, _ = doctor("--json", offset_s=0.0)
     assert (code, json.loads(out)["ok"], set(healths(out).values())) == (0, True, {"fine"})
 
@@ -81,16 +82,17 @@ def test_an_ill_computer_shows_what_to_do(doctor, computer):
     looping = ServiceState(is_installed=True, is_enabled=True, active="activating", is_restarted=True)
     computer(here, service_states=lambda *_: {"arpd": looping})
     computer(checks.kernel, read_mtu=lambda _name: 1280)
+    computer(checks, ipv4_addresses=dict)
     computer(checks.radio, power_save=lambda _name: True, region=refuse)
     code, out, err = doctor(offset_s=-1.5, lacks_profile=True)
     assert (code, err) == (1, "")
     shown = out.splitlines()
     headings = [line.split(": ")[:2] for line in shown if not line.startswith("    ")]
     assert headings[:-1] == [
-        *(["wrong", about] for about in ("clock", "power save", "mtu", "profile", "units")),
+        *(["wrong", about] for about in ("clock", "power save", "address", "mtu", "profile", "units")),
         ["not known", "region"],
     ]
-    assert shown[-1] == "5 things to do, 10 checks fine, 1 not known"
+    assert shown[-1] == "6 things to do, 10 checks fine, 1 not known"
     for number in ("1.5 s behind", "1280", "    sudo apt install chrony", "    sudo iw dev wlan0 set power_save off"):
         assert number in out
 
