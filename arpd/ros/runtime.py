@@ -18,7 +18,7 @@ from arpd.model.wire import MOST_DOMAIN
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator, Mapping, MutableMapping
+    from collections.abc import Callable, Iterator, MutableMapping
 
     from arpd.host.addresses import Addresses
     from arpd.host.notify import Watchdog
@@ -35,6 +35,7 @@ OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
+_UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
 # Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), and DomainParticipantFactory::get_instance() with
 # set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the profiles again.
 _LOAD_PROFILE = "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager13loadXMLStringEPKcm"
@@ -62,21 +63,28 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
         environment.setdefault(_RANGE, "LOCALHOST")
 
 
-def write_for_this_host(environment: Mapping[str, str] = os.environ) -> None:
+def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> None:
     """Give participants that are made from now on, and their writers, a profile for nodes on this host alone.
 
     Fast DDS loads a file of profiles once in a process, and a participant takes its default, and that of its writers,
     when it is made. Where the user has chosen another profile, nodes may be on other hosts, or Fast DDS has no such
     functions, they keep the profile of the process: it loses nothing either, costs more, and is found later.
+
+    With UDP alone the range is no longer LOCALHOST, in which rmw_fastrtps adds shared memory, but the profile's own,
+    which is the same.
     """
-    is_ours = environment.get(PROFILE_VARIABLES[0]) == str(TWO_ENDED_PROFILE)
+    is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
         with suppress(OSError, AttributeError, ValueError):
-            fast_dds, profile = ctypes.CDLL("librmw_fastrtps_cpp.so"), _GHOSTS_PROFILE.read_bytes()
-            fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile)))
+            fast_dds, has_udp_alone = ctypes.CDLL("librmw_fastrtps_cpp.so"), environment.get(_VARIABLE) == "UDPv4"
+            for path in (_GHOSTS_PROFILE, _UDP_PROFILE)[: 1 + has_udp_alone]:
+                profile = path.read_bytes()
+                fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile)))
             (factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
             default = ctypes.c_char.in_dll(fast_dds, _DEFAULT)
             fast_dds[_SET_DEFAULT](ctypes.c_void_p(factory()), ctypes.byref(default))
+            if has_udp_alone:
+                environment[_RANGE] = "SYSTEM_DEFAULT"
 
 
 def _is_another(path: Path) -> bool:

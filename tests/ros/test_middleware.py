@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import pytest
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
@@ -97,6 +98,29 @@ def test_an_end_announces_itself_more_often_on_its_host_than_on_the_link(ros):
     """A node that starts there waits for the next announcement, and those cost no link."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
     subprocess.run([sys.executable, "-c", ANNOUNCED], env=environment, cwd=REPO, check=True, timeout=30.0)
+
+
+MEMORY = f"""
+from pathlib import Path
+from arpd.model.settings import LinkDomain
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
+
+prepare_environment(TWO_ENDED_PROFILE)
+with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
+    write_for_this_host()
+    with ros_node("end"):
+        print("fastrtps_port" in Path("/proc/self/maps").read_text())
+"""
+
+
+@pytest.mark.parametrize("transports", ["UDPv4", "DEFAULT"])
+def test_an_end_shares_memory_only_where_it_is_asked_to(ros, transports):
+    """Nodes of another user than arpd's would match it, and exchange nothing with it."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "FASTDDS_BUILTIN_TRANSPORTS": transports}
+    told = subprocess.run(
+        [sys.executable, "-c", MEMORY], env=environment, capture_output=True, cwd=REPO, check=True, text=True
+    )
+    assert told.stdout.split() == [str(transports == "DEFAULT")]
 
 
 def test_an_end_asks_readers_on_its_host_less_often_than_the_other_end(ros):

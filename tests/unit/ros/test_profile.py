@@ -96,17 +96,20 @@ def test_the_daemon_s_profile_is_that_of_the_ends_without_their_socket():
 
 
 def test_an_end_is_on_its_host_what_it_is_on_the_link_but_for_announcements():
-    """The participants differ in nothing else; and Fast DDS takes no second profile of a name."""
-    link, here = (
-        ET.parse(path).getroot() for path in (TWO_ENDED_PROFILE, TWO_ENDED_PROFILE.with_stem("fastdds-ghosts"))
-    )
-    assert not {each.get("profile_name") for each in link.iter()} & {
-        each.get("profile_name") for each in here.iter()
-    } - {None}
-    for participant in (found := [*link.findall(".//{*}rtps"), *here.findall(".//{*}rtps")]):
-        participant.remove(participant.find("{*}builtin"))
-    lines = [[line.strip() for line in ET.tostring(each, encoding="unicode").splitlines()] for each in found]
-    assert lines[0] == lines[1]
+    """Over shared memory or UDP participants have the link's other settings; no two profiles have one name."""
+    paths = TWO_ENDED_PROFILE, *map(TWO_ENDED_PROFILE.with_stem, ("fastdds-ghosts", "fastdds-udp"))
+    link, here, udp = (ET.parse(path).getroot() for path in paths)
+    names = [each.get("profile_name") for root in (link, here, udp) for each in root.iter() if each.get("profile_name")]
+    assert len(names) == len({*names})
+    discovery = [ET.tostring(root.find(".//{*}discovery_config")).split() for root in (here, udp)]
+    assert discovery[0] == discovery[1]
+    found = [root.find(".//{*}participant/{*}rtps") for root in (link, here, udp)]
+    for participant in found:
+        for name in ("builtin", "listenSocketBufferSize", "userTransports", "useBuiltinTransports"):
+            for each in participant.findall(f"{{*}}{name}"):
+                participant.remove(each)
+    lines = [ET.tostring(each).split() for each in found]
+    assert lines[0] == lines[1] == lines[2]
 
 
 HEARTBEAT = "<times><heartbeatPeriod><sec>0</sec></heartbeatPeriod></times>"
