@@ -61,9 +61,11 @@ def _file(raw: Any, info: ValidationInfo) -> Path:
         raise ValueError("is not a path; write the path of a PEM file")
     path = cast("dict[str, Path]", info.context)["directory"] / raw
     try:
-        read_bounded(path)
+        wrong = "" if read_bounded(path) else "is empty; name a PEM file"  # so is a FIFO, for which OpenSSL would wait
     except ValueError as error:
-        raise ValueError(f"{printable(str(path), longest=200)} {error}") from None
+        wrong = str(error)
+    if wrong:
+        raise ValueError(f"{printable(str(path), longest=200)} {wrong}")
     return path
 
 

@@ -1,6 +1,7 @@
 """The web-config file: the keys of exporters, one clear line for each fault, and changes while the daemon runs."""
 
 import logging
+import os
 import re
 import shutil
 import ssl
@@ -84,6 +85,15 @@ def test_faults_name_place_key_and_way_out(load, text, place, words):
     assert words in fault
     assert SECRET not in fault
     assert "$2b$" not in fault
+
+
+def test_a_fifo_is_no_certificate(folder):
+    """OpenSSL would wait for its writer, and the HTTP server with it."""
+    (folder / "server.crt").unlink()
+    os.mkfifo(folder / "server.crt")
+    (folder / "web.yaml").write_text(TLS + "}")
+    with pytest.raises(ConfigError, match="is empty; name a PEM file"):
+        load_protection(HTTP, directory=folder)
 
 
 def test_the_shipped_example_is_only_comments_and_right(load):
