@@ -193,6 +193,16 @@ def test_after_an_outage_two_trains_show_the_link(part):
     assert estimate.capacity_bytes_per_second == about(part * FIRST, 0.15)
 
 
+def test_what_an_outage_held_up_is_a_queue_and_what_arrives_counts_at_once():
+    """Pings that left before an outage ended, and arrive late, show how long they waited; a link may be slower now."""
+    link = Link().measured()
+    link.ticks(30, silent=True)
+    estimate = link.ticks(3, delay_s=1.5, rate=5e5)
+    assert 1.2 < estimate.queue_delay_s < 1.8
+    assert estimate.state is LinkState.DRAINING
+    assert estimate.capacity_bytes_per_second == about(5e5)
+
+
 @pytest.mark.parametrize("trouble", [{"silent": True}, FALLEN], ids=["outage", "queue"])
 def test_an_outage_or_a_queue_stops_the_trains(trouble):
     """A train would measure nothing, and would lengthen a queue; pings are rare in an outage."""
