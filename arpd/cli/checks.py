@@ -34,6 +34,7 @@ _LEAST_SIGNAL_DBM = -75
 _MANY_PARTICIPANTS = 20
 _ARPDS_PROCESSES = 2  # on another host, with one end: `arpd run` and `arpd relay`, or `arpd peer`
 _ENOUGH_BUFFER_BYTES = 2 * 2**20  # 20 ms of a link that carries 100 MB/s
+_SIZES = "rmem_default", "rmem_max"
 _FEW_LOST, _LITTLE_LOST, _LITTLE_INCOMPLETE = 10, 1e-4, 0.01
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 _FOR_ARPD = "echo {} | sudo tee -a /etc/default/arpd && sudo systemctl restart 'arpd*'"
@@ -61,8 +62,8 @@ _BY_UDEV = (
     "| sudo tee /etc/udev/rules.d/81-arpd-no-powersave.rules"
 )
 _LARGER_BUFFERS = (
-    "echo net.core.rmem_default=8388608 | sudo tee /etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system"
-    "   # then restart arpd and your nodes"
+    "printf 'net.core.rmem_default=8388608\\nnet.core.rmem_max=8388608\\n' | sudo tee "
+    "/etc/sysctl.d/60-arpd-buffers.conf && sudo sysctl --system   # then restart arpd and your nodes"
 )
 # As "DDS tuning" of the ROS 2 documentation has it.
 _SHORT_REASSEMBLY_S = 3
@@ -261,16 +262,20 @@ def transports(here: Here) -> Finding:
 
 
 def receive_buffers(_here: Here, *, proc: Path = kernel.PROC) -> Finding:
-    """Judge the receive buffer of sockets, of which Fast DDS takes the default, by what was lost for want of it."""
-    size, udp = read_number(proc / "sys/net/core/rmem_default"), kernel.counters("Udp", proc=proc)
-    if size is None or not {"InDatagrams", "RcvbufErrors"} <= udp.keys():
-        raise NotKnownError("the kernel does not tell it (/proc/net/snmp, net.core.rmem_default)")
+    """Judge the receive buffers of sockets by what was lost for want of them.
+
+    Nodes have the default size, and arpd asks for one, which the kernel cuts at its most.
+    """
+    sizes, udp = [read_number(proc / "sys/net/core" / name) for name in _SIZES], kernel.counters("Udp", proc=proc)
+    if None in sizes or not {"InDatagrams", "RcvbufErrors"} <= udp.keys():
+        raise NotKnownError("the kernel does not tell it (/proc/net/snmp, net.core.rmem_default, rmem_max)")
+    size = min(each for each in sizes if each is not None)
     lost = udp["RcvbufErrors"]
     total = lost + udp["InDatagrams"]
     found = f"{lost} of {total} datagrams were lost for want of a receive buffer above {format_size(size)}"
     if size >= _ENOUGH_BUFFER_BYTES or lost < max(_FEW_LOST, _LITTLE_LOST * total):
         return fine(found)
-    return wrong(f"{found} (net.core.rmem_default): {format_share(lost / total)}", _LARGER_BUFFERS)
+    return wrong(f"{found} (net.core.rmem_default, rmem_max): {format_share(lost / total)}", _LARGER_BUFFERS)
 
 
 def fragments(_here: Here, *, proc: Path = kernel.PROC) -> Finding:

@@ -248,7 +248,8 @@ class End:
             if writer.gid in here or writer.gid[:_PARTICIPANT] in announced:
                 return (
                     f"{writer.node} of the other side is visible in this domain without the relay; give the two sides "
-                    "different ROS_DOMAIN_IDs, or its nodes ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+                    "different ROS_DOMAIN_IDs, or its nodes ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST and no "
+                    "ROS_STATIC_PEERS"
                 )
         return ""
 

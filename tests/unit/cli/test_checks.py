@@ -272,6 +272,18 @@ def test_what_the_kernel_loses_is_wrong_where_it_is_much_and_a_setting_mends_it(
         (tmp_path / folder).mkdir(parents=True)
     snmp = f"Ip: ReasmOKs ReasmFails\nIp: 1000000 {lost}\nUdp: InDatagrams RcvbufErrors\nUdp: 1000000 {lost}\n"
     (tmp_path / "net/snmp").write_text(snmp)
-    for name in ("core/rmem_default", "ipv4/ipfrag_time"):
+    for name in ("core/rmem_default", "core/rmem_max", "ipv4/ipfrag_time"):
         (tmp_path / "sys/net" / name).write_text(str(setting))
     assert health(check, None, proc=tmp_path) == expected
+
+
+def test_a_large_default_of_buffers_does_not_hide_a_small_maximum(tmp_path):
+    """The kernel cuts the size that arpd asks for, so the line raises both."""
+    (tmp_path / "net").mkdir()
+    (tmp_path / "net/snmp").write_text("Udp: InDatagrams RcvbufErrors\nUdp: 1000000 5000\n")
+    (tmp_path / "sys/net/core").mkdir(parents=True)
+    for name, size in (("default", 8 * 2**20), ("max", 212_992)):
+        (tmp_path / f"sys/net/core/rmem_{name}").write_text(str(size))
+    found = checks.receive_buffers(None, proc=tmp_path)
+    assert found.health == "wrong"
+    assert all(f"net.core.rmem_{name}=" in found.remedies[0] for name in ("default", "max"))
