@@ -76,7 +76,8 @@ def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> N
     is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
         with suppress(OSError, AttributeError, ValueError):
-            fast_dds, has_udp_alone = ctypes.CDLL("librmw_fastrtps_cpp.so"), environment.get(_VARIABLE) == "UDPv4"
+            fast_dds = ctypes.CDLL("librmw_fastrtps_cpp.so")
+            has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
             for path in (_GHOSTS_PROFILE, _UDP_PROFILE)[: 1 + has_udp_alone]:
                 profile = path.read_bytes()
                 fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile)))

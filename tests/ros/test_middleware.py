@@ -113,7 +113,7 @@ with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
 """
 
 
-@pytest.mark.parametrize("transports", ["UDPv4", "DEFAULT"])
+@pytest.mark.parametrize("transports", ["UDPv4", "UDPv4?non_blocking=true", "DEFAULT"])
 def test_an_end_shares_memory_only_where_it_is_asked_to(ros, transports):
     """Nodes of another user than arpd's would match it, and exchange nothing with it."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "FASTDDS_BUILTIN_TRANSPORTS": transports}
