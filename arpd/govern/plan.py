@@ -33,7 +33,6 @@ _LEAST_SLACK_NS = 10_000_000
 # The ceiling is above the source's rate, so jitter and a little growth are not throttled. More growth is a change of
 # demand, and causes a new plan.
 _SOURCE_MARGIN = 1.25
-_NOISE = 0.02  # of rates and sizes as measured; a row that differs by no more is not sent again
 
 
 class Move(IntEnum):
@@ -140,7 +139,6 @@ class Wanted:
             if name in self.silent:
                 row = self._silent(row, name, kept, is_large=name in large)
             elif kept is not None:
-                row = _without_noise(row, kept)
                 if (move := fit.move(kept)) is Move.NONE:
                     row = self.with_qos_of(row, name, kept)
                 else:
@@ -183,12 +181,3 @@ def _row(fit: _Fit, topic: Topic) -> TopicPlan:
         wire_bytes=topic.wire_bytes,
         packets=topic.packets,
     )
-
-
-def _without_noise(row: TopicPlan, kept: TopicPlan) -> TopicPlan:
-    """Return a row with the measured numbers of another one where both differ by noise alone."""
-    if math.isclose(row.rate_hz, kept.rate_hz, rel_tol=_NOISE):
-        row = replace(row, rate_hz=kept.rate_hz)
-    if row.packets == kept.packets and math.isclose(row.wire_bytes, kept.wire_bytes, rel_tol=_NOISE):
-        row = replace(row, wire_bytes=kept.wire_bytes)
-    return row
