@@ -140,7 +140,8 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
                 f"(getent hosts {link.peer}), or write its address"
             ) from error
         raise RosUnavailableError(
-            f"ROS 2 does not start ({' '.join(str(error).split())}); see ROS_* and RMW_IMPLEMENTATION of this process"
+            f"ROS 2 does not start ({' '.join(str(error).split())}); correct ROS_* or RMW_IMPLEMENTATION of this "
+            "process, for arpd's services in /etc/default/arpd"
         ) from error
     try:
         yield node
