@@ -71,7 +71,7 @@ class AdaptivePublisher:
     Notes
     -----
     ``publisher_class`` of `Node.create_publisher` is not supported: a swap would lose the state of such an object, for
-    example whether a lifecycle publisher is active.
+    example whether a lifecycle publisher is active. So in a lifecycle node it publishes in every state.
 
     `retune`, `set_price`, `service` and `state` are for arpd's own threads: the next plan undoes what others do there.
 
