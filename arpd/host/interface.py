@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import socket
 import time
 from dataclasses import replace
@@ -60,7 +61,7 @@ def likeliest_interface() -> str | None:
 
 def is_radio(name: str) -> bool:
     """Return whether an interface is a radio."""
-    return (SYS_NET / name / "wireless").exists()
+    return os.access(SYS_NET / name / "wireless", os.F_OK)
 
 
 def running_radios() -> list[str]:

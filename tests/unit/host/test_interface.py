@@ -182,7 +182,7 @@ def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel):
 # -- the kernel
 
 
-def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
+def test_a_kernel_that_does_not_answer_is_no_error(tmp_path, monkeypatch):
     """If no file can be opened, there is no interface, address or choice, and nothing raises."""
 
     def refuse(*_arguments, **_options):
@@ -197,3 +197,5 @@ def test_a_kernel_that_does_not_answer_is_no_error(monkeypatch):
     assert interface.InterfaceReader("auto").read() is None
     before = MemoryState(total_bytes=8, available_bytes=3)
     assert interface.read_memory(before) == before
+    monkeypatch.setattr(interface, "SYS_NET", tmp_path)
+    assert not interface.is_radio(300 * "w")  # a path that the kernel refuses, as it does in a sandbox without /sys
