@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from arpd.host.interface import ipv4_addresses
+from arpd.host.interface import running_addresses
 from arpd.model.errors import LinkError
 
 if TYPE_CHECKING:
@@ -18,14 +18,14 @@ _SETTLED_S = 3.0  # a new interface gets its addresses one by one
 class Addresses:
     """Notices that the link interface has an address that ROS in this process does not use.
 
-    Fast DDS 2.14 reads the addresses of its host once per process. Measured: a node that is older than the link's
-    address sends nothing over the link, and neither does a second node of the same process; the peer hears a new
-    process within seconds.
+    Fast DDS 2.14 reads the addresses of its host once per process, without those of interfaces that are down. Measured:
+    a node that is older than the link's address, or than its carrier, sends nothing over the link, and neither does a
+    second node of the same process; the peer hears a new process within seconds.
 
     Parameters
     ----------
     interface : returns the current name of the link interface
-    addresses : returns the addresses of every interface
+    addresses : returns the addresses of every interface that is up
     clock : monotonic clock (s)
     """
 
@@ -33,7 +33,7 @@ class Addresses:
         self,
         interface: Callable[[], str],
         *,
-        addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
+        addresses: Callable[[], Mapping[str, frozenset[str]]] = running_addresses,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._interface = interface

@@ -103,6 +103,15 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
     return {name: addresses for name, addresses in found.items() if addresses}
 
 
+def running_addresses() -> dict[str, frozenset[str]]:
+    """Return the IPv4 addresses of every interface that is up and has a carrier: those that Fast DDS takes."""
+    try:
+        states = psutil.net_if_stats()
+    except OSError:
+        return {}
+    return {name: addresses for name, addresses in ipv4_addresses().items() if name in states and states[name].isup}
+
+
 class InterfaceReader:
     """Reads one interface repeatedly and logs each change of its state once.
 

@@ -1,6 +1,7 @@
 """The choice of the link interface, and its counters over time."""
 
 import socket
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -182,17 +183,27 @@ def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel):
 # -- the kernel
 
 
+def test_what_is_down_has_no_address_that_dds_takes(monkeypatch):
+    """A static address stays on an interface without a carrier, and a process that starts then never uses it."""
+    address = SimpleNamespace(family=socket.AF_INET, address="10.0.0.1")
+    monkeypatch.setattr(psutil, "net_if_addrs", lambda: {name: [address] for name in ("wlan0", "wlan1", "wlan2")})
+    monkeypatch.setattr(
+        psutil, "net_if_stats", lambda: {name: SimpleNamespace(isup=name == "wlan0") for name in ("wlan0", "wlan1")}
+    )
+    assert interface.running_addresses() == {"wlan0": frozenset({"10.0.0.1"})}
+
+
 def test_a_kernel_that_does_not_answer_is_no_error(tmp_path, monkeypatch):
     """If no file can be opened, there is no interface, address or choice, and nothing raises."""
 
     def refuse(*_arguments, **_options):
         raise OSError(24, "Too many open files")
 
-    for name in ("net_if_addrs", "virtual_memory"):
+    for name in ("net_if_addrs", "net_if_stats", "virtual_memory"):
         monkeypatch.setattr(psutil, name, refuse)
     for name in ("socket", "if_nameindex", "if_nametoindex"):
         monkeypatch.setattr(socket, name, refuse)
-    assert (interface.read_counters("lo"), interface.ipv4_addresses()) == (None, {})
+    assert (interface.read_counters("lo"), interface.ipv4_addresses(), interface.running_addresses()) == (None, {}, {})
     assert (interface.likeliest_interface(), interface.list_interfaces()) == (None, None)
     assert interface.InterfaceReader("auto").read() is None
     before = MemoryState(total_bytes=8, available_bytes=3)
