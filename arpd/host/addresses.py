@@ -54,4 +54,4 @@ class Addresses:
 
     def error(self) -> LinkError:
         """Return the error that ends the process, because only a new process uses the address."""
-        return LinkError(f"{self._interface()} has a new address, which ROS in this process cannot use; start it again")
+        return LinkError(f"{self._interface()} has an address that ROS in this process cannot use; start it again")

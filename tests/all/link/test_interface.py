@@ -226,4 +226,4 @@ def test_a_link_that_comes_after_the_daemon_is_taken(hosts):
     assert hosts.metric("arpd_peer_reports_total") == 0
     ip(hosts.robot, "address", "add", f"{hosts.robot.address}/30", "dev", INTERFACE)
     eventually("the peer is heard", lambda: (hosts.metric("arpd_peer_reports_total") or 0) > 10)
-    assert f"arpd: {INTERFACE} has a new address, which ROS" in hosts.text("run")
+    assert f"arpd: {INTERFACE} has an address that ROS" in hosts.text("run")
