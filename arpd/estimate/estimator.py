@@ -139,8 +139,6 @@ class Estimator:
         """
         if self._is_pinned:
             return ()
-        if self._peers.is_in_doubt(now_s, self._queue_low_s) and self._loss.ratio(now_s):
-            self._schedule.hurry()
         requests = tuple(
             self._schedule.wanted(
                 now_s,
@@ -179,7 +177,7 @@ class Estimator:
     def _digest(self, report: PeerReport) -> None:
         now_s = report.received_at_s
         silent_s = now_s - self._reported_s
-        if parameters.OUTAGE_FORGET_S < silent_s < math.inf:
+        if max(parameters.OUTAGE_FORGET_S, self._outage_s) < silent_s < math.inf:
             self._resume(now_s, silent_s)
         self._reported_s = now_s
         while self._asked and self._asked[0].number < report.last_probe:
@@ -325,7 +323,8 @@ class Estimator:
     @property
     def _outage_s(self) -> float:
         """Silence that is an outage: longer than one lost report explains, at the pace that reached the peer (s)."""
-        return max(parameters.OUTAGE_S, 1.6 * max((request.quiet_s for request in self._asked), default=0.0))
+        quiet_s = max((request.quiet_s for request in self._asked), default=0.0)
+        return max(parameters.OUTAGE_S, parameters.OUTAGE_QUIETS * quiet_s)
 
     @property
     def _queue_low_s(self) -> float:

@@ -20,7 +20,6 @@ _MOST_MISSING = 0.25  # pings are reported up to `PROMPT_S` late, a fifth of the
 # What waits is read at a tick, up to 20 ms after the report left. So the bytes that arrive in a shorter interval may
 # have come meanwhile, to a link that was idle.
 _LEAST_INTERVAL_S = 0.05
-_DOUBTFUL_S = 0.2  # overdue beyond what is no queue; on a link that is not slow the next ping has left by then
 _HELD_INTERVAL_S = 1.5 * PROMPT_S  # a shorter report had to wait before it left
 
 
@@ -172,18 +171,11 @@ class QueueGauge:
         if ping is not None and ping.handed_bytes is not None and handed_bytes is not None:
             come_s = max(0.0, handed_bytes - ping.handed_bytes) / capacity
             queue_s = max(0.0, self.delay_s + come_s - (now_s - ping.sent_s))
-        return max(queue_s, self._overdue_s(now_s)) if self._under_way else queue_s
-
-    def is_in_doubt(self, now_s: float, allowance_s: float) -> bool:
-        """Return whether a ping may be lost, or a queue have come: another ping tells, long before the next is due."""
-        is_alone = len(self._under_way) == 1 and self.delay_s < parameters.QUEUE_LOW_S
-        return is_alone and self._overdue_s(now_s) > allowance_s + _DOUBTFUL_S
-
-    def _overdue_s(self, now_s: float) -> float:
-        """Return how long the oldest ping on its way is overdue (s)."""
+        if not self._under_way:
+            return queue_s
         # The usual round trip grows with a queue that stands, and would hide it. A report may wait, too.
         without_s = self._round_trips.least_s + PROMPT_S + (self.return_delay_s or 0.0)
-        return now_s - self._under_way[0].sent_s - without_s
+        return max(queue_s, now_s - self._under_way[0].sent_s - without_s)
 
     def delivery(self, since_s: float) -> tuple[float, float]:
         """Return what the peer received in the last intervals that began since then (bytes/s, packets/s)."""
@@ -236,10 +228,6 @@ class PeerGauges:
         newest_s = max((gauge.reported_s for gauge in self._gauges.values()), default=-math.inf)
         heard = (each for each in self._gauges.values() if newest_s - each.reported_s <= parameters.OUTAGE_S)
         return max((each.queue_s(now_s, handed_bytes=handed_bytes, capacity=capacity) for each in heard), default=0.0)
-
-    def is_in_doubt(self, now_s: float, allowance_s: float) -> bool:
-        """Return whether another ping tells a lost one from a queue longer than so (s)."""
-        return any(gauge.is_in_doubt(now_s, allowance_s) for gauge in self._gauges.values())
 
     @property
     def busy_rate(self) -> float | None:

@@ -156,24 +156,6 @@ def test_bytes_that_go_elsewhere_make_no_link_busy():
         assert fifo.gauge.backlog.busy_rate is None
 
 
-def test_a_ping_that_stays_away_is_followed_by_one_more_until_a_queue_is_known():
-    """A lost packet looks like a queue until another ping arrives; beside a queue that stands none would tell more."""
-    link = Fifo()
-    for _ in range(5):
-        link.cycle()
-    link.ping()
-    link._waiting.clear()  # it is lost
-    assert not link.gauge.is_in_doubt(link.now_s + 0.2, 0.05)
-    assert link.gauge.is_in_doubt(link.now_s + 0.3, 0.05)
-    link.ping()
-    assert not link.gauge.is_in_doubt(link.now_s + 0.3, 0.05)
-    link.run(0.1)
-    for _ in range(5):
-        link.cycle(size=2 * 0.1 * RATE)
-    link.ping()
-    assert not link.gauge.is_in_doubt(link.now_s + 0.6, 0.05)
-
-
 def test_bytes_without_their_ping_are_a_queue_at_once():
     """What waits at one report may be a burst, unless the report came because no ping arrived in time."""
     fifo = Fifo()
