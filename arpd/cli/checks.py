@@ -160,10 +160,10 @@ def region(here: Here) -> Finding:
 def address(here: Here) -> Finding:
     """Judge whether DDS can use the link."""
     interface = here.interface
-    if (SYS_NET / interface / "master").exists():
-        return fine(f"{interface} is a port of another interface, which has the address")
     if addresses := ipv4_addresses().get(interface):
         return fine(f"{interface} has {listed(sorted(addresses))}")
+    if (SYS_NET / interface / "master").exists():
+        return fine(f"{interface} is a port of another interface, which has the address")
     return wrong(
         f"{interface} has no IPv4 address, so nothing of arpd or of nodes with UDPv4 crosses it",
         f"ip address show dev {quote(interface)}   # give it one, by DHCP or as `ip address add ADDRESS/24 dev` does",

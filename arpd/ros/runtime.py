@@ -12,6 +12,7 @@ import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 from arpd.model.errors import GET_ROS, LinkError, RosUnavailableError
 from arpd.model.wire import MOST_DOMAIN
@@ -36,14 +37,17 @@ TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
 _UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
-# Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), and DomainParticipantFactory::get_instance() with
-# set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the profiles again.
+# Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), which returns XML_OK, and get_instance() of
+# DomainParticipantFactory with set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the
+# profiles again.
 _LOAD_PROFILE = "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager13loadXMLStringEPKcm"
 _FACTORY = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory12get_instanceEv"
 _SET_DEFAULT = (
     "_ZN8eprosima7fastdds3dds24DomainParticipantFactory27set_default_participant_qosERKNS1_20DomainParticipantQosE"
 )
 _DEFAULT = "_ZN8eprosima7fastdds3dds23PARTICIPANT_QOS_DEFAULTE"
+_XML_OK = 1
+_PEER = "<locator><udpv4><address>{}</address></udpv4></locator>"
 
 
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
@@ -71,20 +75,22 @@ def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> N
     functions, they keep the profile of the process: it loses nothing either, costs more, and is found later.
 
     With UDP alone the range is no longer LOCALHOST, in which rmw_fastrtps adds shared memory, but the profile's own,
-    which is the same.
+    which is the same. Only in LOCALHOST and SUBNET it takes ROS_STATIC_PEERS, so they are written into the profile.
     """
     is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
         with suppress(OSError, AttributeError, ValueError):
             fast_dds = ctypes.CDLL("librmw_fastrtps_cpp.so")
             has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
+            peers = "127.0.0.1", *filter(None, environment.get(_PEERS, "").split(";"))
+            locators = "".join(_PEER.format(escape(peer)) for peer in peers)
             for path in (_GHOSTS_PROFILE, _UDP_PROFILE)[: 1 + has_udp_alone]:
-                profile = path.read_bytes()
-                fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile)))
+                profile = path.read_text().replace(_PEER.format("127.0.0.1"), locators).encode()
+                is_loaded = fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile))) == _XML_OK
             (factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
             default = ctypes.c_char.in_dll(fast_dds, _DEFAULT)
             fast_dds[_SET_DEFAULT](ctypes.c_void_p(factory()), ctypes.byref(default))
-            if has_udp_alone:
+            if has_udp_alone and is_loaded:  # else rmw_fastrtps names the peer that has no address
                 environment[_RANGE] = "SYSTEM_DEFAULT"
 
 

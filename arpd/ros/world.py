@@ -215,7 +215,7 @@ class RosControl:
         if refusal is None:
             self._on_report_arrived()
         # A peer that starts has heard no probe yet, and one may answer a daemon that drove.
-        elif report.last_probe and (refusal is not MessageRefusal.UNANSWERED or not self._daemons.are_heard):
+        elif refusal is not MessageRefusal.UNANSWERED or (report.last_probe and not self._daemons.are_heard):
             words = f"reports of {report.peer!r}: {_WHY[refusal]}"
             self._inboxes[MessageKind.REPORTS].refuse(refusal, sample.writer, words)
 

@@ -100,7 +100,8 @@ def test_an_end_announces_itself_more_often_on_its_host_than_on_the_link(ros):
     subprocess.run([sys.executable, "-c", ANNOUNCED], env=environment, cwd=REPO, check=True, timeout=30.0)
 
 
-MEMORY = f"""
+MET = f"""
+import socket
 from pathlib import Path
 from arpd.model.settings import LinkDomain
 from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
@@ -108,19 +109,22 @@ from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, w
 prepare_environment(TWO_ENDED_PROFILE)
 with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
     write_for_this_host()
-    with ros_node("end"):
-        print("fastrtps_port" in Path("/proc/self/maps").read_text())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.5", 7400 + 250 * {DOMAIN} + 10))
+        ear.settimeout(10.0)
+        with ros_node("end"):
+            print("fastrtps_port" in Path("/proc/self/maps").read_text(), len(ear.recv(65536)) > 0)
 """
 
 
 @pytest.mark.parametrize("transports", ["UDPv4", "UDPv4?non_blocking=true", "DEFAULT"])
 def test_an_end_shares_memory_only_where_it_is_asked_to(ros, transports):
-    """Nodes of another user than arpd's would match it, and exchange nothing with it."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "FASTDDS_BUILTIN_TRANSPORTS": transports}
+    """Nodes of another user than arpd's would match it, and exchange nothing with it; static peers meet it anyway."""
+    own = {"ROS_DOMAIN_ID": str(DOMAIN), "FASTDDS_BUILTIN_TRANSPORTS": transports, "ROS_STATIC_PEERS": "127.0.0.5"}
     told = subprocess.run(
-        [sys.executable, "-c", MEMORY], env=environment, capture_output=True, cwd=REPO, check=True, text=True
+        [sys.executable, "-c", MET], env={**os.environ, **own}, capture_output=True, cwd=REPO, check=True, text=True
     )
-    assert told.stdout.split() == [str(transports == "DEFAULT")]
+    assert told.stdout.split() == [str(transports == "DEFAULT"), "True"]
 
 
 def test_an_end_asks_readers_on_its_host_less_often_than_the_other_end(ros):
