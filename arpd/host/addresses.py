@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ class Addresses:
 
     Fast DDS 2.14 reads the addresses of its host once per process, without those of interfaces that are down. Measured:
     a node that is older than the link's address, or than its carrier, sends nothing over the link, and neither does a
-    second node of the same process; the peer hears a new process within seconds.
+    second node of the same process; the peer hears a new process within seconds. Make one of these before ROS starts,
+    and ask it afterwards: ROS knows for certain only what is there both times.
 
     Parameters
     ----------
@@ -41,13 +43,16 @@ class Addresses:
         self._clock = clock
         self._known = frozenset[str]().union(*addresses().values())
         self._new: frozenset[str] = frozenset()
-        self._new_since_s = self._looked_s = clock()
+        self._new_since_s = self._looked_s = -math.inf
 
     def are_outdated(self) -> bool:
         """Return whether the link has had a new address for three seconds; cheap enough for every tick."""
         if (now_s := self._clock()) - self._looked_s >= _LOOK_S:
+            addresses = self._addresses()
+            if self._looked_s == -math.inf:
+                self._known &= frozenset[str]().union(*addresses.values())
             self._looked_s = now_s
-            new = self._addresses().get(self._interface(), frozenset()) - self._known
+            new = addresses.get(self._interface(), frozenset()) - self._known
             if new != self._new:
                 self._new, self._new_since_s = new, now_s
         return bool(self._new) and now_s - self._new_since_s >= _SETTLED_S

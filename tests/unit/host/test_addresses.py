@@ -41,6 +41,7 @@ def test_an_address_that_comes_to_the_link_calls_for_a_new_process():
 def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
     """The link's address may go and return, others may pass or come elsewhere, and the link may be chosen late."""
     host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
+    assert not host.are_outdated(1.0)
     del host.by_interface["wlan0"]
     assert not host.are_outdated(30.0)
     host.by_interface |= {"wlan0": "10.0.0.5", "docker0": "172.17.0.1"}
@@ -51,3 +52,12 @@ def test_addresses_that_are_known_or_not_of_the_link_call_for_nothing():
     assert not host.are_outdated(30.0)
     host.link = "eth0"
     assert not host.are_outdated(30.0)
+
+
+def test_an_address_that_is_away_while_ros_starts_calls_for_a_new_process():
+    """A link that flaps at the start was there before ROS read its addresses, and may not have been when it did."""
+    host = Host(lo="127.0.0.1", wlan0="10.0.0.5")
+    del host.by_interface["wlan0"]
+    assert not host.are_outdated(5.0)
+    host.by_interface["wlan0"] = "10.0.0.5"
+    assert host.are_outdated(6.0)
