@@ -109,17 +109,16 @@ def _address(word: str) -> str:
 
 
 def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
-    from arpd.ros.runtime import ros_node
+    from arpd.ros.runtime import any_user_heard, ros_node
 
     require_middleware()
-    # As in arpd's units: shared memory works between processes of one user only, and this may be another one.
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 
     def is_of_interest(topic: str) -> bool:
         return options.all or not (is_internal(topic) or is_hidden(topic))
 
     with (
         progress(f"measuring for {options.seconds:g} s", total=options.seconds) as shown,
+        any_user_heard(),
         ros_node(f"arpd_topics_{os.getpid()}") as node,
     ):
         from arpd.ros.topic_measuring import TopicSurvey

@@ -94,6 +94,27 @@ def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> N
                 environment[_RANGE] = "SYSTEM_DEFAULT"
 
 
+@contextmanager
+def any_user_heard(environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
+    """Let nodes that are made meanwhile exchange samples with nodes of any user, as arpd's units do.
+
+    In the range LOCALHOST that takes a profile (fastdds-udp.xml); one that the user has chosen stays, and so does the
+    range where it has static peers, which that file has not.
+    """
+    environment.setdefault(_VARIABLE, "UDPv4")
+    chosen = environment.get(_RANGE)
+    is_fast_dds = "fastrtps" in (environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp")
+    if is_fast_dds and (chosen, environment[_VARIABLE], environment.get(_PEERS, "")) == ("LOCALHOST", "UDPv4", ""):
+        prepare_environment(_UDP_PROFILE, environment)
+        if environment.get(PROFILE_VARIABLES[0]) == str(_UDP_PROFILE):
+            environment[_RANGE] = "SYSTEM_DEFAULT"
+    try:
+        yield
+    finally:
+        if chosen is not None:
+            environment[_RANGE] = chosen
+
+
 def _is_another(path: Path) -> bool:
     """Return whether this is another profile than arpd's for the user's nodes, which an environment for all may name.
 

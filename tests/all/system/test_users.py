@@ -1,5 +1,6 @@
 """The units of a relay with two ends, and nodes of another user than theirs on both computers."""
 
+import json
 import re
 from pathlib import Path
 
@@ -15,7 +16,7 @@ OF_ROBOT = ("/odometry:std_msgs/String", "/camera:std_msgs/String:200000")
 OF_BASE = ("/command:std_msgs/String", "/map:std_msgs/String:200000")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def ends(computers):
     """Start what README names for two ends, and a node on each computer that stays on it."""
     link = ", ".join(f"{host.name}: {host.address}" for host in computers.link.hosts)
@@ -43,6 +44,18 @@ def test_topics_of_another_users_nodes_cross_both_ways(ends):
     for host, topics in ((ends.base, ("/odometry", "/camera")), (ends.robot, ("/command", "/map"))):
         for topic in topics:
             eventually(f"{topic} crosses", lambda host=host, topic=topic: heard(host, topic) >= 10)
+
+
+@pytest.mark.parametrize("discovery", ["SUBNET", "LOCALHOST"])
+def test_root_measures_topics_of_another_users_nodes(ends, discovery):
+    """`arpd topics` has the rates of a robot's nodes, whichever range root's shell has."""
+    measure = ". /opt/ros/jazzy/setup.bash; /usr/local/bin/arpd topics --json --seconds 2"
+    shell = ("env", "-i", "HOME=/root", f"ROS_AUTOMATIC_DISCOVERY_RANGE={discovery}", "bash", "-c")
+    told = ends.robot.call(*shell, measure)
+    assert told.returncode == 0, told.stderr
+    rates = {topic["name"]: topic["traffic"]["rate_hz"] for topic in json.loads(told.stdout)["topics"]}
+    assert rates["/odometry"] > 0
+    assert rates["/camera"] > 0
 
 
 def heard(host, topic):

@@ -13,6 +13,7 @@ from arpd.ros.runtime import (
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     _discovery,
+    any_user_heard,
     prepare_environment,
     send_without_waiting,
 )
@@ -56,6 +57,25 @@ def test_nodes_confined_by_the_older_variable_do_not_confine_the_link():
     prepare_environment(TWO_ENDED_PROFILE, environment := dict(before))
     environment = {name: value for name, value in environment.items() if name.startswith("ROS")}
     assert environment == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def test_in_the_range_of_this_host_nodes_of_any_user_are_heard_by_a_profile(tmp_path):
+    """It leaves the range for as long as nodes are made, and a profile or transports of the user's own in force."""
+    (own := tmp_path / "own.xml").write_text("<dds/>")
+    name, local = "ROS_AUTOMATIC_DISCOVERY_RANGE", {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    for more, meanwhile in (
+        ({}, "SYSTEM_DEFAULT"),
+        ({PROFILE_VARIABLES[1]: str(FASTDDS_PROFILE)}, "SYSTEM_DEFAULT"),
+        ({PROFILE_VARIABLES[1]: str(own)}, "LOCALHOST"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}, "LOCALHOST"),
+        ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, "LOCALHOST"),
+        ({"ROS_STATIC_PEERS": "10.0.0.2"}, "LOCALHOST"),
+        ({name: "SUBNET"}, "SUBNET"),
+    ):
+        before = local | more
+        with any_user_heard(environment := dict(before)):
+            assert environment[name] == meanwhile
+        assert environment[name] == before[name]
 
 
 @pytest.mark.parametrize("name", PROFILE_VARIABLES)
