@@ -61,7 +61,9 @@ def _file(raw: Any, info: ValidationInfo) -> Path:
         raise ValueError("is not a path; write the path of a PEM file")
     path = cast("dict[str, Path]", info.context)["directory"] / raw
     try:
-        wrong = "" if read_bounded(path) else "is empty; name a PEM file"  # so is a FIFO, for which OpenSSL would wait
+        read_bounded(path)
+        # OpenSSL opens it again, and would wait for the next writer of a FIFO.
+        wrong = "" if path.is_file() else "is no regular file; name a PEM file"
     except ValueError as error:
         wrong = str(error)
     if wrong:

@@ -88,12 +88,16 @@ def test_faults_name_place_key_and_way_out(load, text, place, words):
 
 
 def test_a_fifo_is_no_certificate(folder):
-    """OpenSSL would wait for its writer, and the HTTP server with it."""
-    (folder / "server.crt").unlink()
-    os.mkfifo(folder / "server.crt")
+    """What it holds is read once, and OpenSSL would wait for its next writer, and the HTTP server with it."""
+    path = folder / "server.crt"
+    certificate = path.read_text()
+    path.unlink()
+    os.mkfifo(path)
     (folder / "web.yaml").write_text(TLS + "}")
-    with pytest.raises(ConfigError, match="is empty; name a PEM file"):
-        load_protection(HTTP, directory=folder)
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK)):  # else nobody can write into it
+        path.write_text(certificate)
+        with pytest.raises(ConfigError, match="is no regular file; name a PEM file"):
+            load_protection(HTTP, directory=folder)
 
 
 def test_the_shipped_example_is_only_comments_and_right(load):
