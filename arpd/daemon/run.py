@@ -18,7 +18,7 @@ from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
-from arpd.host.kernel import interface_towards
+from arpd.host.kernel import interface_of_link
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
@@ -126,7 +126,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         world = RosControl(
             node,
             interface=link,
-            choose=partial(interface_towards, settings.relay.base, settings.relay.robot),
+            route=partial(interface_of_link, settings.relay.base, settings.relay.robot),
             on_report=signals.wakeup.set,
             has_two_ends=link_domain is not None,
         )

@@ -116,14 +116,16 @@ class InterfaceReader:
     """Reads one interface repeatedly and logs each change of its state once.
 
     An interface that returns under its name continues the old totals. ``auto`` may mean another one later: until one
-    was up; if it was no radio, when a radio comes or it has been away for ten seconds, as a cable that a robot boots
-    with; and the one that gets the address of one that is gone, because that was renamed, or replaced.
+    was up; if it was no radio, when a radio comes, when it has been away for ten seconds, as a cable that a robot boots
+    with, or when the route has led elsewhere as long, as back to a bridge that started again; and the one that gets the
+    address of one that is gone, because that was renamed, or replaced.
 
     Parameters
     ----------
     name : the interface, as configured
     read : the kernel's answer
-    choose : returns the interface that ``auto`` means now, None = none yet
+    route : returns the interface of the route to the other end, None where that is not known
+    choose : returns the interface that ``auto`` means without a route, None = none yet
     is_radio : whether an interface is one
     addresses : returns the addresses of every interface
     note : called with a logging level and a text at every change of state
@@ -139,6 +141,7 @@ class InterfaceReader:
         name: str,
         *,
         read: Callable[[str], LinkCounters | None] = read_counters,
+        route: Callable[[], str | None] = lambda: None,
         choose: Callable[[], str | None] = likeliest_interface,
         is_radio: Callable[[str], bool] = is_radio,
         addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
@@ -147,12 +150,13 @@ class InterfaceReader:
     ) -> None:
         self.name = name
         self._read = read
-        self._choose, self._is_radio = choose, is_radio
+        self._route, self._choose, self._is_radio = route, choose, is_radio
         self._note = note
         self._clock = clock
         self._may_choose = self._is_auto = name == AUTO
         self._away_s = -math.inf  # since when it is not up: infinite while it is, and minus that before it ever was
         self._chosen_s = -math.inf  # when another one was looked for
+        self._elsewhere_s = math.inf  # since when the route leads to another one
         self._addresses = addresses
         self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
         self._raw: LinkCounters | None = None
@@ -184,9 +188,11 @@ class InterfaceReader:
 
     def _choose_again(self, now_s: float) -> None:
         self._chosen_s = now_s
-        if (chosen := self._choose()) is None or chosen == self.name:
+        route = self._route()
+        self._elsewhere_s = math.inf if route in {None, self.name} else min(self._elsewhere_s, now_s)
+        if (chosen := route or self._choose()) is None or chosen == self.name:
             return
-        if now_s - self._away_s >= _LOST_S or self._is_radio(chosen):
+        if now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S or self._is_radio(chosen):
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name, self._raw, self._own = chosen, None, frozenset()
             if self._away_s == -math.inf:

@@ -47,19 +47,19 @@ def interface_to(address: str) -> str | None:
     return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
 
 
-def interface_towards(*ends: str | None) -> str | None:
-    """Return the interface that ``auto`` means where ends of the link are known: that of the route to one of them.
+def interface_of_link(*ends: str | None) -> str | None:
+    """Return the interface of the route to one of the link's ends, None where no end has an address and a route.
 
-    A route to this computer's own end leads to its interface, too. It is the likeliest one where no end has an address
-    and a route. A host name is no address here, because to look it up may take seconds.
+    A route to this computer's own end leads to its interface, too. A host name is no address here, because to look it
+    up may take seconds.
     """
     addresses = (end for end in ends if end is not None and end.replace(".", "").isdecimal())
-    return next(filter(None, map(interface_to, addresses)), None) or likeliest_interface()
+    return next(filter(None, map(interface_to, addresses)), None)
 
 
 def link_interface(configured: str, *ends: str | None) -> str:
     """Return the configured interface of the link, or what ``auto`` means now; empty = none yet."""
-    return configured if configured != AUTO else interface_towards(*ends) or ""
+    return configured if configured != AUTO else interface_of_link(*ends) or likeliest_interface() or ""
 
 
 def is_own_address(address: str) -> bool:

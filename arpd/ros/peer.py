@@ -19,7 +19,7 @@ from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import interface_towards, link_interface
+from arpd.host.kernel import interface_of_link, link_interface
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets
@@ -160,7 +160,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     stopping = threading.Event()
     stop_on_signals(stopping)
     notifier = Notifier()
-    reader = InterfaceReader(interface, choose=partial(interface_towards, relay.robot, relay.base))
+    reader = InterfaceReader(interface, route=partial(interface_of_link, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from arpd.host.interface import InterfaceReader, is_radio, likeliest_interface, read_memory
+from arpd.host.interface import InterfaceReader, is_radio, read_memory
 from arpd.host.radio import transmit_rate
 from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState
 from arpd.model.errors import NotKnownError
@@ -89,7 +89,7 @@ class RosControl:
         node: Any,
         *,
         interface: str,
-        choose: Callable[[], str | None] = likeliest_interface,
+        route: Callable[[], str | None] = lambda: None,
         on_report: Callable[[], None],
         has_two_ends: bool = False,
     ) -> None:
@@ -99,7 +99,7 @@ class RosControl:
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
         # At debug level, because the decision log says it too.
-        self._reader = InterfaceReader(interface, choose=choose, note=lambda _level, words: log.debug("%s", words))
+        self._reader = InterfaceReader(interface, route=route, note=lambda _level, words: log.debug("%s", words))
         self._memory = read_memory()
         self._radio_rate: float | None = None
         self._radio_fault = ""

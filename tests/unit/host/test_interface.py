@@ -55,10 +55,11 @@ class Kernel:
             interface=name, rx_bytes=rx[0], rx_packets=rx[1], tx_bytes=0, tx_packets=0, tx_dropped=dropped, state=state
         )
 
-    def reader(self, name, choose=lambda: None, addresses=dict):
+    def reader(self, name, choose=lambda: None, addresses=dict, route=lambda: None):
         return interface.InterfaceReader(
             name,
             read=self.interfaces.get,
+            route=route,
             choose=choose,
             is_radio=lambda name: name.startswith("wl"),
             addresses=addresses,
@@ -144,6 +145,22 @@ def test_auto_leaves_a_cable_that_is_pulled_and_one_beside_a_radio(kernel):
     choice[0] = "wlan0"
     kernel.now_s += 1.0
     assert (received(reader.read()), reader.name) == ((900, 9), "wlan0")
+
+
+def test_auto_follows_the_route_to_the_other_end(kernel):
+    """One that comes late, or returns with a bridge that started again, leads to the link; a short detour does not."""
+    route = ["eth0"]
+    reader = kernel.reader("auto", route=lambda: route[0])
+    kernel.put("eth0")
+    kernel.put("eth1")
+    names = []
+    for leads_to, lasts_s in (("eth0", 5), ("eth1", 20), ("eth0", 5), ("eth1", 5), ("eth0", 20), ("eth1", 20)):
+        route[0] = leads_to
+        for _ in range(lasts_s):
+            kernel.now_s += 1.0
+            reader.read()
+        names.append(reader.name)
+    assert names == ["eth0", "eth1", "eth1", "eth1", "eth0", "eth1"]
 
 
 @pytest.mark.parametrize(("configured", "followed"), [("auto", "wlan1"), ("wlan0", "wlan0")])

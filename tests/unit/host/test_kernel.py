@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from arpd.host import kernel
-from arpd.host.kernel import counters, interface_to, interface_towards, is_own_address, route_mtu
+from arpd.host.kernel import counters, interface_of_link, interface_to, is_own_address, link_interface, route_mtu
 
 SNMP = "Udp: InDatagrams RcvbufErrors\nUdp: 1000 7\nUdpLite: InDatagrams RcvbufErrors\nUdpLite: 9 9\n"
 
@@ -36,7 +36,9 @@ def test_the_route_to_this_computer_is_the_loopback(network):
 
 
 def test_the_link_is_where_the_other_end_is(network, monkeypatch):
-    """So is this end's own address, where no route leads to the other; a name is not looked up."""
+    """Or, where no route leads there, where this end's own address is; a name is not looked up."""
     monkeypatch.setattr(kernel, "likeliest_interface", lambda: "wlan0")
-    assert [interface_towards(end) for end in ("127.0.0.1", "192.0.2.77", "localhost", None)] == ["lo", *3 * ["wlan0"]]
-    assert [interface_towards(end, "127.0.0.1") for end in ("192.0.2.77", "localhost", None)] == 3 * ["lo"]
+    ends = "127.0.0.1", "192.0.2.77", "localhost", None
+    assert [interface_of_link(end) for end in ends] == ["lo", None, None, None]
+    assert [link_interface("auto", end) for end in ends] == ["lo", *3 * ["wlan0"]]
+    assert [interface_of_link(end, "127.0.0.1") for end in ends] == 4 * ["lo"]
