@@ -27,7 +27,7 @@ def findings(snapshot, **options):
 
 
 def test_the_verdict_answers_the_four_questions():
-    """A limited link: that it is the limit, what arpd slowed, how much, and whether it helps."""
+    """A limited link: that it is the limit, what arpd slowed, how much, and what queues now."""
     verdict = judge(changed(**CALM)).verdict
     assert (verdict.condition, verdict.condition.severity) == (Condition.LIMITED, Severity.WARNING)
     for number in ("3.4 Mbit/s of 4 Mbit/s", "1 of 3 topics", "/camera/image", "30 → 12.5 Hz", "; 12.5 ms of queue."):
