@@ -115,7 +115,7 @@ class ReadingThread:
         self._readers: dict[int, Inlet] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
-        self._is_stopping = False
+        self._is_stopping, self._stops = False, threading.Lock()  # the second is taken by who stops it, once
         self._woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._events.register(self._woken, select.EPOLLIN)
         self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
@@ -134,7 +134,7 @@ class ReadingThread:
 
     def stop(self) -> None:
         """End the thread; samples that wait are dropped. It may have ended already."""
-        if self._events.closed or not self._thread.is_alive():  # a forked process has no such thread
+        if not self._thread.is_alive() or not self._stops.acquire(blocking=False):  # a forked process has none
             return
         self._is_stopping = True
         if threading.current_thread() is not self._thread:
@@ -304,7 +304,10 @@ class RawReader:
         """
         thread = self._thread
         for _ in range(_MOST_AT_ONCE):
-            if announced <= 0 or (sample := thread.take(self.handle)) is None:
+            # Under the lock, because a node with a reader in use stays in the graph beyond its `destroy_node`.
+            with self._lock:
+                sample = thread.take(self.handle) if announced > 0 and not self._is_destroyed else None
+            if sample is None:
                 return 0
             if self._is_new(sample):
                 announced -= 1
