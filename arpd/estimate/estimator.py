@@ -61,6 +61,7 @@ class Estimator:
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
+        self._is_silent = True  # for longer than one lost report explains
         self._look_weight = 1.0  # of what left this host since the last update
         self._peers = PeerGauges()
         self._loss = ProbeLoss()
@@ -113,11 +114,12 @@ class Estimator:
         local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=capacity)
         for report in observation.reports:
             self._digest(report)
+        silence_s = now_s - self._reported_s
+        self._is_silent = silence_s > self._outage_s
         self._measure_queue(now_s)
         self._learn(now_s, has_reports=bool(observation.reports))
-        silence_s = now_s - self._reported_s
-        self._silence.note(now_s, observation.counters, is_usual=silence_s <= self._outage_s)
-        if silence_s <= self._outage_s:
+        self._silence.note(now_s, observation.counters, is_usual=not self._is_silent)
+        if not self._is_silent:
             self._state = self._judge(now_s)
         elif self._silence.is_cut or (
             silence_s <= parameters.PEER_LOST_S and observation.peers != 0 and not self._silence.is_answered
@@ -193,8 +195,7 @@ class Estimator:
     def _measure_queue(self, now_s: float) -> None:
         backlog_s = self._peers.backlog_s(now_s, burst_bytes=self._burst_bytes, capacity=self._capacity)
         # While nothing arrives, lost bytes look like waiting ones.
-        is_out = now_s - self._reported_s > self._outage_s
-        self._alarm_s = 0.0 if is_out else max(self._local.backlog_s, backlog_s, 0.0)
+        self._alarm_s = 0.0 if self._is_silent else max(self._local.backlog_s, backlog_s, 0.0)
         pinged_s = self._peers.delay_s(now_s, handed_bytes=self._local.handed_bytes, capacity=self._capacity)
         self._queue_delay_s = max(0.0, pinged_s, self._alarm_s)
         self._queues.note(now_s, self._queue_delay_s)
@@ -219,7 +220,7 @@ class Estimator:
     def _learn(self, now_s: float, *, has_reports: bool) -> None:
         """Weigh what trains and deliveries show, and state what is news."""
         pinged, self._pinged = self._pinged, []
-        if now_s - self._reported_s > self._outage_s:
+        if self._is_silent:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
         seen = ""
         for rate in self._trains.take(packet_overhead_s=self._overhead_s):
@@ -343,8 +344,7 @@ class Estimator:
     @property
     def _delivered(self) -> float:
         """What arrives lately; without a peer, what leaves this host (bytes/s)."""
-        is_alone = self._last_s - self._reported_s > self._outage_s
-        return self._local.sent_bytes_per_second() if is_alone else self._peers.delivery()[0]
+        return self._local.sent_bytes_per_second() if self._is_silent else self._peers.delivery()[0]
 
     @property
     def _is_resting(self) -> bool:
