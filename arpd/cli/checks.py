@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from functools import partial
@@ -18,7 +17,7 @@ from arpd.model.quantities import format_duration, format_number, format_share, 
 from arpd.model.wire import MOST_PACKET_BYTES, MTU_BYTES
 from arpd.report.wording import count, listed
 from arpd.ros.profile import profile_line
-from arpd.ros.rmw import Rmw
+from arpd.ros.rmw import chosen_rmw
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -315,8 +314,8 @@ def profile(here: Here) -> Finding:
 def rmw(here: Here) -> Finding:
     """Judge the middleware: the daemon's, as no shell's environment reaches its unit, else this shell's."""
     told = None if isinstance(here.told, NotKnownError) else here.told
-    name = told.rmw if told else os.environ.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
-    if not (refusal := told.rmw_refusal if told else Rmw(name=name).refusal):
+    name, refusal = (told.rmw, told.rmw_refusal) if told else ((own := chosen_rmw()).name, own.refusal)
+    if not refusal:
         return fine(name)
     return wrong(
         refusal,

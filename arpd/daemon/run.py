@@ -176,9 +176,9 @@ def _own_domain(node: Any, link_domain: LinkDomain | None) -> Iterator[Any]:
     if link_domain is None:
         yield node
         return
-    from arpd.ros.runtime import ros_node, write_for_this_host  # noqa: PLC0415 - after the configuration
+    from arpd.ros.runtime import prepare_for_this_host, ros_node  # noqa: PLC0415 - after the configuration
 
-    write_for_this_host()
+    prepare_for_this_host()
     with ros_node("arpd") as own_node:
         yield own_node
 

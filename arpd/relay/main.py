@@ -32,10 +32,10 @@ from arpd.ros.runtime import (
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
     prepare_environment,
+    prepare_for_this_host,
     ros_node,
     serve_until,
     stop_on_signals,
-    write_for_this_host,
 )
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         prepare_environment(TWO_ENDED_PROFILE)
         return_large_blocks()
         with ros_node(name, relay.link(is_far=is_far)) as link_node:
-            write_for_this_host()
+            prepare_for_this_host()
             with ros_node(name) as node:
                 check_middleware(current_rmw())
                 check_deaf_to_itself(node)

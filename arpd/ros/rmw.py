@@ -51,12 +51,17 @@ class Rmw:
         return "" if self.is_fast_dds else f"{self.name} is only paced: QoS swaps were measured on Fast DDS alone"
 
 
+def chosen_rmw(environment: Mapping[str, str] = os.environ) -> Rmw:
+    """Return the middleware that ROS loads in such an environment."""
+    return Rmw(name=environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp")
+
+
 def require_middleware(environment: Mapping[str, str] = os.environ) -> None:
     """Raise RosUnavailableError where RMW_IMPLEMENTATION names a middleware that cannot be loaded here.
 
     rcl would end the process that imports rclpy, so another one tries. The one that every ROS brings needs no try.
     """
-    name = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
+    name = chosen_rmw(environment).name
     if name == "rmw_fastrtps_cpp":
         return
     tried = subprocess.run(

@@ -16,6 +16,7 @@ from xml.sax.saxutils import escape
 
 from arpd.model.errors import GET_ROS, LinkError, RosUnavailableError
 from arpd.model.wire import MOST_DOMAIN
+from arpd.ros.rmw import chosen_rmw
 
 if TYPE_CHECKING:
     import threading
@@ -67,7 +68,7 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
         environment.setdefault(_RANGE, "LOCALHOST")
 
 
-def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> None:
+def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ) -> None:
     """Give participants that are made from now on, and their writers, a profile for nodes on this host alone.
 
     Fast DDS loads a file of profiles once in a process, and a participant takes its default, and that of its writers,
@@ -82,16 +83,26 @@ def write_for_this_host(environment: MutableMapping[str, str] = os.environ) -> N
         with suppress(OSError, AttributeError, ValueError):
             fast_dds = ctypes.CDLL("librmw_fastrtps_cpp.so")
             has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
-            peers = "127.0.0.1", *filter(None, environment.get(_PEERS, "").split(";"))
-            locators = "".join(_PEER.format(escape(peer)) for peer in peers)
-            for path in (_GHOSTS_PROFILE, _UDP_PROFILE)[: 1 + has_udp_alone]:
-                profile = path.read_text().replace(_PEER.format("127.0.0.1"), locators).encode()
-                is_loaded = fast_dds[_LOAD_PROFILE](profile, ctypes.c_size_t(len(profile))) == _XML_OK
+            is_loaded = _load(fast_dds, _GHOSTS_PROFILE.read_text())
+            if has_udp_alone:
+                is_loaded = _load(fast_dds, _with_peers(_UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
             (factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
             default = ctypes.c_char.in_dll(fast_dds, _DEFAULT)
             fast_dds[_SET_DEFAULT](ctypes.c_void_p(factory()), ctypes.byref(default))
             if has_udp_alone and is_loaded:  # else rmw_fastrtps names the peer that has no address
                 environment[_RANGE] = "SYSTEM_DEFAULT"
+
+
+def _load(fast_dds: ctypes.CDLL, profiles: str) -> bool:
+    """Add profiles, and return whether Fast DDS takes them; a default replaces the one before."""
+    text = profiles.encode()
+    return bool(fast_dds[_LOAD_PROFILE](text, ctypes.c_size_t(len(text))) == _XML_OK)
+
+
+def _with_peers(profile: str, peers: str) -> str:
+    """Return a profile that announces its participant at ROS_STATIC_PEERS, too."""
+    hosts = "127.0.0.1", *filter(None, peers.split(";"))
+    return profile.replace(_PEER.format(hosts[0]), "".join(_PEER.format(escape(host)) for host in hosts))
 
 
 @contextmanager
@@ -103,7 +114,7 @@ def any_user_heard(environment: MutableMapping[str, str] = os.environ) -> Iterat
     """
     environment.setdefault(_VARIABLE, "UDPv4")
     chosen = environment.get(_RANGE)
-    is_fast_dds = "fastrtps" in (environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp")
+    is_fast_dds = chosen_rmw(environment).is_fast_dds
     if is_fast_dds and (chosen, environment[_VARIABLE], environment.get(_PEERS, "")) == ("LOCALHOST", "UDPv4", ""):
         prepare_environment(_UDP_PROFILE, environment)
         if environment.get(PROFILE_VARIABLES[0]) == str(_UDP_PROFILE):

@@ -45,11 +45,11 @@ import statistics, time, rclpy
 from rclpy.duration import Duration
 from std_msgs.msg import String
 from arpd.model.settings import LinkDomain
-from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, prepare_for_this_host
 
 prepare_environment(TWO_ENDED_PROFILE)
 with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")) as link:
-    write_for_this_host()
+    prepare_for_this_host()
     with ros_node("end") as local:
         for node in (link, local):
             publisher, found_s = node.create_publisher(String, "/x", 10), []
@@ -69,7 +69,7 @@ with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")) as link:
 ANNOUNCED = f"""
 import socket
 from arpd.model.settings import LinkDomain
-from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, prepare_for_this_host
 
 def ear(domain, participant):  # announcements go to the ports of participants, whether there are any or not
     ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -79,7 +79,7 @@ def ear(domain, participant):  # announcements go to the ports of participants, 
 prepare_environment(TWO_ENDED_PROFILE)
 on_link, here = ear({DOMAIN + 1}, 3), ear({DOMAIN}, 20)
 with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
-    write_for_this_host()
+    prepare_for_this_host()
     with ros_node("end"):
         on_link.setblocking(False)
         more = 0  # announcements here than on the link
@@ -104,11 +104,11 @@ MET = f"""
 import socket
 from pathlib import Path
 from arpd.model.settings import LinkDomain
-from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, write_for_this_host
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node, prepare_for_this_host
 
 prepare_environment(TWO_ENDED_PROFILE)
 with ros_node("end", LinkDomain(domain_id={DOMAIN + 1}, peer="")):
-    write_for_this_host()
+    prepare_for_this_host()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.5", 7400 + 250 * {DOMAIN} + 10))
         ear.settimeout(10.0)
