@@ -61,7 +61,7 @@ def likeliest_interface() -> str | None:
 
 def is_radio(name: str) -> bool:
     """Return whether an interface is a radio."""
-    return os.access(SYS_NET / name / "wireless", os.F_OK)
+    return os.access(SYS_NET / name / "wireless", os.F_OK)  # `Path.exists` raises where a sandbox hides /sys
 
 
 def running_radios() -> list[str]:
@@ -154,9 +154,10 @@ class InterfaceReader:
         self._note = note
         self._clock = clock
         self._may_choose = self._is_auto = name == AUTO
-        self._away_s = -math.inf  # since when it is not up: infinite while it is, and minus that before it ever was
-        self._chosen_s = -math.inf  # when another one was looked for
+        self._was_up = False
+        self._away_s = math.inf  # since when it is not up
         self._elsewhere_s = math.inf  # since when the route leads to another one
+        self._chosen_s = -math.inf  # when another one was looked for
         self._addresses = addresses
         self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
         self._raw: LinkCounters | None = None
@@ -166,7 +167,7 @@ class InterfaceReader:
     def read(self) -> LinkCounters | None:
         """Return counters, which never fall, and state; None while the interface is gone."""
         now_s = self._clock()
-        if self._may_choose and (self._away_s == -math.inf or now_s - self._chosen_s >= _CHOOSE_S):
+        if self._may_choose and (not self._was_up or now_s - self._chosen_s >= _CHOOSE_S):
             self._choose_again(now_s)
         if (raw := self._read(self.name)) is None and self._own:
             if heir := next((name for name, addresses in self._addresses().items() if addresses & self._own), None):
@@ -178,7 +179,7 @@ class InterfaceReader:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = _continued(self._total or raw, self._raw or raw, raw)
         if raw is not None and raw.is_up:
-            self._away_s = math.inf
+            self._was_up, self._away_s = True, math.inf
             self._may_choose = self._may_choose and not self._is_radio(self.name)
         else:
             self._away_s = min(self._away_s, now_s)
@@ -192,10 +193,11 @@ class InterfaceReader:
         self._elsewhere_s = math.inf if route in {None, self.name} else min(self._elsewhere_s, now_s)
         if (chosen := route or self._choose()) is None or chosen == self.name:
             return
-        if now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S or self._is_radio(chosen):
+        is_lost = now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S
+        if not self._was_up or is_lost or self._is_radio(chosen):
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name, self._raw, self._own = chosen, None, frozenset()
-            if self._away_s == -math.inf:
+            if not self._was_up:
                 self._total = self._state = None
 
     def _note_state(self, state: InterfaceState) -> None:

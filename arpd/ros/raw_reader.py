@@ -115,7 +115,7 @@ class ReadingThread:
         self._readers: dict[int, Inlet] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
-        self._is_stopping, self._stops = False, threading.Lock()  # the second is taken by who stops it, once
+        self._stopping = threading.Lock()  # taken by who stops the thread, for good
         self._woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._events.register(self._woken, select.EPOLLIN)
         self._thread = threading.Thread(target=self._run, name="arpd-reading", daemon=True)
@@ -134,9 +134,8 @@ class ReadingThread:
 
     def stop(self) -> None:
         """End the thread; samples that wait are dropped. It may have ended already."""
-        if not self._thread.is_alive() or not self._stops.acquire(blocking=False):  # a forked process has none
+        if not self._thread.is_alive() or not self._stopping.acquire(blocking=False):  # a forked process has none
             return
-        self._is_stopping = True
         if threading.current_thread() is not self._thread:
             self.wake()
             self._thread.join(timeout=2.0)
@@ -228,9 +227,8 @@ class ReadingThread:
         if not self._is_alive():  # after a signal rclpy runs no `on_shutdown` callback
             for reader in tuple(self._readers.values()):
                 reader.destroy()  # it would keep the participant
-            if not self._is_stopping:
-                self.stop()
-        return self._is_stopping
+            self.stop()
+        return self._stopping.locked()
 
     def _step_now(self) -> float:
         try:

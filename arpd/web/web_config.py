@@ -60,14 +60,13 @@ def _file(raw: Any, info: ValidationInfo) -> Path:
     if not raw or not isinstance(raw, str):
         raise ValueError("is not a path; write the path of a PEM file")
     path = cast("dict[str, Path]", info.context)["directory"] / raw
+    shown = printable(str(path), longest=200)
     try:
         read_bounded(path)
-        # OpenSSL opens it again, and would wait for the next writer of a FIFO.
-        wrong = "" if path.is_file() else "is no regular file; name a PEM file"
     except ValueError as error:
-        wrong = str(error)
-    if wrong:
-        raise ValueError(f"{printable(str(path), longest=200)} {wrong}")
+        raise ValueError(f"{shown} {error}") from None
+    if not path.is_file():  # OpenSSL opens it again, and would wait for the next writer of a FIFO
+        raise ValueError(f"{shown} is no regular file; name a PEM file")
     return path
 
 

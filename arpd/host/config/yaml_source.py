@@ -119,7 +119,7 @@ class YamlSource:
 def read_bounded(path: Path) -> bytes:
     """Return what a file holds, or raise ValueError with ``what is wrong; what would be right``."""
     try:
-        # O_NONBLOCK: a FIFO without a writer would hold the daemon up for ever.
+        # O_NONBLOCK, because to open a FIFO without a writer would never return.
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             os.set_blocking(file.fileno(), True)
             raw = file.read(_MAX_BYTES + 1)
