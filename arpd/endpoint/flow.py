@@ -31,13 +31,11 @@ class Flow(Generic[W]):
 
     Parameters
     ----------
-    create : makes a writer with the given QoS
     qos : QoS of the first writer
     overflow : which samples are withheld when they come faster than they may leave
     clock : monotonic clock (s)
     on_swap : called with the result of every swap and the QoS it was about
     on_held : called when a swap holds samples, so that `service` is due soon
-    timing : timeouts of a swap
     lock : may be taken again by the thread that has it; needed where several threads call
 
     Attributes

@@ -87,7 +87,6 @@ class Lane:
 
     Parameters
     ----------
-    write : writes one serialized sample to the topic
     depth, large_depth : most small samples that wait of each source, and most large ones
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
     is_kept : whether the other end delivers its samples however old they are; where they are not ordered, too, what the

@@ -47,8 +47,6 @@ class WritingThread:
 
     Parameters
     ----------
-    queue : what waits
-    name : of the thread
     warn : says a fault of a topic, each once a minute
     is_alive : returns False once its participant is gone, which ends the thread
     clock : monotonic clock (s)

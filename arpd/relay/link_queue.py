@@ -47,7 +47,6 @@ class LinkQueue(PacedQueue):
 
     Parameters
     ----------
-    session : of this process, 32 bit
     now_s : when it begins (s)
     together : writes the messages that leave together
 

@@ -64,7 +64,6 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
 
     Parameters
     ----------
-    config_path : YAML configuration
     node_name : name of the ROS node; `default_node_name` of this host when None
     is_far : whether this is the base computer's end
 

@@ -63,8 +63,6 @@ class Inbox(Generic[T]):
 
     Parameters
     ----------
-    node, qos : of its reader
-    letters : what it takes
     deliver : called with a sample, and what it says
     clock : monotonic clock (s)
     warn : says what was refused, once a minute of each writer and reason

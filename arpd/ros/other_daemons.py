@@ -30,7 +30,6 @@ class OtherDaemons:
 
     Attributes
     ----------
-    inbox : of the prices
     others : where each of them is
     """
 

@@ -243,12 +243,8 @@ class RawReader:
 
     Parameters
     ----------
-    node : node it belongs to
     msg_type : message class; no message is decoded
-    topic : fully qualified topic name
-    qos : its QoS
     deliver : called with every sample, in the thread
-    thread : takes the samples
     most_held_bytes : what may wait for the thread; a reader whose samples are too large for that gets a smaller depth
     """
 

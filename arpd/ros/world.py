@@ -74,14 +74,9 @@ class RosControl:
 
     Parameters
     ----------
-    node : rclpy node
     interface : the robot's link interface
     on_report : called when a peer report arrives, so that a tick can follow at once
     has_two_ends : whether a relay with two ends is configured, whose end on this host tells of it
-
-    Attributes
-    ----------
-    thread : reads what arrives
     """
 
     def __init__(

@@ -23,10 +23,6 @@ class AnnouncedParticipants:
 
     It hears this host's nodes, too. A participant of the other side that announces itself here has crossed the link
     without the relay. An end confined to its host does not see it in its graph.
-
-    Parameters
-    ----------
-    domain_id : the local domain
     """
 
     def __init__(self, domain_id: int) -> None:

@@ -50,11 +50,7 @@ class Calls:
 
     Parameters
     ----------
-    node : this end's node in the local domain
-    nodes : ghosts of the other side's nodes
     send : writes one record to the link, as `CallBook` says
-    session : of this process, 32 bit
-    side : names on this side
     timeout_s : time after which a call without an answer has failed; the result of an action may take any time (s)
 
     Attributes
@@ -63,7 +59,6 @@ class Calls:
     offers : services of this side that the other side may call, by their names on the link
     failures : calls from this side that failed, by reason
     refused : services of the other side that are not served here, and the reason
-    thread : of all this
     """
 
     def __init__(

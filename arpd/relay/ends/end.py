@@ -64,7 +64,6 @@ class End:
     Parameters
     ----------
     node, link_node : its nodes in the local domain and in that of the link
-    settings : the relay's settings, the same on both ends
     is_far : whether this is the base computer's end
     on_change : called with the status line at the start and whenever it changes
     """

@@ -102,9 +102,6 @@ class GhostWriter:
 
     Parameters
     ----------
-    node : ghost of the writer's node
-    msg_type, topic : as in `Node.create_publisher`
-    offer : QoS of the writer
     depth : KEEP_LAST depth without a plan; discovery does not tell the original's (samples)
     planned : depth and deadline of the plan
     """

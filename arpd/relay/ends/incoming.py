@@ -50,9 +50,7 @@ class Incoming:
 
     Parameters
     ----------
-    nodes : ghosts of the other side's nodes
     reader : opens a reader of this topic on the link, which passes on what it reads
-    side : names on this side
     depths : least KEEP_LAST depth of ghosts, by topic
 
     Attributes

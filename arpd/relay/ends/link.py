@@ -34,7 +34,6 @@ class LinkThread(WritingThread):
 
     Parameters
     ----------
-    session : of this process, 32 bit
     state : writes a state of the end, reliably
     sign : writes one sign of life, best effort
     together : writes small messages that leave together, reliably
@@ -110,10 +109,7 @@ class LinkReader(RawReader):
 
     Parameters
     ----------
-    node : the end's node in the domain of the link
-    topic : its name there
-    link : accounts for what arrives
-    thread : takes the chunks
+    node, topic : in the domain of the link
     deliver : called in the thread with each message, its last chunk, and the age of that (s); ValueError = no such
         message. It must not wait: the receipts of all chunks would come late, as if the link was out
     is_together : whether its messages hold small ones of several topics

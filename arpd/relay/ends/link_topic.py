@@ -45,11 +45,8 @@ class LinkTopic(Carried):
 
     Parameters
     ----------
-    node : the end's node in the domain of the link
-    topic : its name there
+    node, topic : in the domain of the link
     is_latched : whether a writer is
-    thread : writes to the link
-    settings : groups, overflow and depths
     on_drop : called with the number of samples of a set that was never complete
     """
 

@@ -41,8 +41,6 @@ class Carried:
     ----------
     planned : DEPTH and DEADLINE that the daemon has planned for it, 0 = none (samples, ns)
     wanted, wanted_s : its topics that are wanted, and when one was last (s)
-    types : of its topics
-    readers : of its topics
     """
 
     def __init__(self, *, is_latched: bool) -> None:
@@ -82,10 +80,8 @@ class Outgoing:
 
     Parameters
     ----------
-    node : looks at the graph and reads
     name_of : returns the name by which a topic is offered and wanted, None = it is not; from its local name
     carry : makes what carries the topics of this name on the link; whether one is latched
-    settings : groups, overflow and depths
     linger_s : how long a topic stays that nobody wants, or offers, any more (s)
     node_name : returns the name by which a node is offered, from its local name
 
@@ -94,7 +90,6 @@ class Outgoing:
     offers : topics of this side that may be carried
     carried : those that are, by the name on the link
     refused : wanted topics that cannot be carried, and why
-    thread : takes the samples
     """
 
     def __init__(

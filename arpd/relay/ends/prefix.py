@@ -103,7 +103,6 @@ class Prefixed(Outgoing):
     Parameters
     ----------
     node : looks at the graph and reads; nobody needs to spin it
-    settings : topics and prefix
     on_change : called with the status line whenever it changes
 
     Attributes

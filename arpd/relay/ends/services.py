@@ -38,9 +38,6 @@ class _Endpoint(Inlet):
     Parameters
     ----------
     of : the server or the client of rclpy; no executor serves it
-    name : fully qualified name
-    notify : as `Inlet` has it
-    thread : serves it
     """
 
     def __init__(self, of: Any, name: str, notify: Any, thread: ReadingThread) -> None:
@@ -84,9 +81,6 @@ class GhostServer(_Endpoint):
 
     Parameters
     ----------
-    node : node that the server belongs to
-    offer : the service
-    name, thread : as in `_Endpoint`
     on_request : called with each request and its header, in the thread
     """
 
@@ -126,9 +120,6 @@ class LocalClient(_Endpoint):
 
     Parameters
     ----------
-    node : node that the client belongs to
-    offer : the service
-    name, thread : as in `_Endpoint`
     book : of the calls, which it finishes in the thread
     """
 
@@ -181,10 +172,6 @@ def failed_response(kind: Any, type_name: str, failure: CallFailure) -> Any:
     """Return the response that says why a call failed; None where its type cannot say it.
 
     A service of ROS has no failures. Without a response it looks like a server that died.
-
-    Parameters
-    ----------
-    kind, type_name : service class, and its ROS name
     """
     response = kind.Response()  # one of an action's says by default that its goal is not accepted, or not known
     fields = response.get_fields_and_field_types()

@@ -26,7 +26,6 @@ class Surveyed:
 
     Parameters
     ----------
-    view : the local domain's graph
     local : the topic's name there
     """
 
@@ -63,12 +62,7 @@ class Surveyed:
             self.read(others, time.monotonic())
 
     def read(self, writers: Collection[Endpoint], now_s: float) -> None:
-        """Take the writers of the topic.
-
-        Parameters
-        ----------
-        now_s : monotonic clock (s)
-        """
+        """Take the writers of the topic, at this time of the monotonic clock."""
         self._unnamed_s = {each.gid: self._unnamed_s.get(each.gid, now_s) for each in writers if not each.is_named}
         waiting = {gid for gid, since_s in self._unnamed_s.items() if now_s - since_s < _NAMELESS_S}
         self.is_waiting = bool(waiting)

@@ -39,10 +39,7 @@ class TopicReaders:
 
     Parameters
     ----------
-    node : node of the readers
     topic : names the writers
-    msg_type : message class
-    thread : takes the samples
     deliver : called with every sample and its writer, in the thread, one at a time
     depth : most samples that wait for the thread; None = a second of them
     """
