@@ -5,23 +5,21 @@ from __future__ import annotations
 import os
 import socket
 import struct
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from arpd.model.interface import InterfaceState, LinkCounters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterable, Iterator
 
-T = TypeVar("T")
 # linux/netlink.h, linux/rtnetlink.h
 _HEADER = struct.Struct("=IHHII")  # length, type, flags, sequence, port
 _ATTRIBUTE = struct.Struct("=HH")  # length, type
-_DONE, _ERROR, _REQUEST, _DUMP = 3, 2, 0x1, 0x300
+_REQUEST, _DUMP = 0x1, 0x300
 _TYPE_BITS = 0x3FFF  # the two bits above tell the packing of an attribute
 _TIMEOUT_S = 0.1
-_MOST_READS = 100
 # linux/rtnetlink.h, linux/if_link.h, linux/if.h
 _LINK = struct.Struct("=BxHiII")  # family, kind of device, interface, flags, changed flags
 _STATS = struct.Struct("=8Q")  # packets, bytes, errors and drops, each received and sent
@@ -37,20 +35,6 @@ _STATS2, _STATS_QUEUE = 7, 3
 _WITHOUT_QUEUE = b"noqueue\0"  # also of a Wi-Fi driver, which queues inside mac80211
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Backlog:
-    """State of a queue.
-
-    Parameters
-    ----------
-    waiting_bytes : bytes in the queue
-    dropped_packets : packets dropped since the queue was made; wraps at 32 bits
-    """
-
-    waiting_bytes: int
-    dropped_packets: int
-
-
 def read_counters(name: str) -> LinkCounters | None:
     """Return the kernel's counters of an interface; None if there is none, or the kernel does not answer.
 
@@ -61,86 +45,65 @@ def read_counters(name: str) -> LinkCounters | None:
     try:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as kernel:
             kernel.settimeout(_TIMEOUT_S)
-            if (link := _ask(kernel, _GETLINK, 0, asked, find_link)) is None:
+            links = bodies(_ask(kernel, _GETLINK, 0, asked), _NEWLINK)
+            if (link := next(map(link_in, links), None)) is None:
                 return None
             index, has_queue, counters = link
             if not has_queue:
                 return counters
-            queue = _ask(kernel, _GETQDISC, _DUMP, _QDISC.pack(0, index, 0, 0, 0), partial(find_root, index=index))
-    except OSError:
-        return None
-    if queue is None:
-        return counters
-    dropped = counters.tx_dropped + queue.dropped_packets
-    return replace(counters, tx_dropped=dropped, backlog_bytes=queue.waiting_bytes)
-
-
-def _ask(
-    kernel: socket.socket, kind: int, flags: int, body: bytes, find: Callable[[bytes], tuple[T | None, bool]]
-) -> T | None:
-    """Return what is found in the parts of the kernel's answer, None if it is not there, or no answer comes."""
-    try:
-        kernel.send(_HEADER.pack(_HEADER.size + len(body), kind, _REQUEST | flags, 1, 0) + body)
-        for _ in range(_MOST_READS):
-            found, is_complete = find(kernel.recv(65536))
-            if found is not None or is_complete:
-                return found
+            told = bodies(_ask(kernel, _GETQDISC, _DUMP, _QDISC.pack(0, index, 0, 0, 0)), _NEWQDISC)
+            waiting_bytes, dropped = next(filter(None, (root_queue_in(body, index) for body in told)), (None, 0))
     except (OSError, struct.error, KeyError):  # malformed, or without what Linux tells
-        pass
-    return None
+        return None
+    return replace(counters, tx_dropped=counters.tx_dropped + dropped, backlog_bytes=waiting_bytes)
 
 
-def find_link(answer: bytes) -> tuple[tuple[int, bool, LinkCounters] | None, bool]:
-    """Return the number of the interface of an answer, whether it has a queue, and its counters; and always True."""
-    for message in _messages(answer):
-        if message is not None and message[0] == _NEWLINK:
-            _, _, index, flags, _ = _LINK.unpack_from(message[1])
-            told = _attributes(message[1][_LINK.size :])
-            rx_packets, tx_packets, rx_bytes, tx_bytes, _, _, _, tx_dropped = _STATS.unpack_from(told[_STATS64])
-            without_carrier = InterfaceState.NO_CARRIER if flags & _UP else InterfaceState.DOWN
-            counters = LinkCounters(
-                interface=told[_NAME].rstrip(b"\0").decode(),
-                rx_bytes=rx_bytes,
-                tx_bytes=tx_bytes,
-                rx_packets=rx_packets,
-                tx_packets=tx_packets,
-                tx_dropped=tx_dropped,
-                state=InterfaceState.UP if flags & _RUNNING else without_carrier,
-            )
-            return (index, told.get(_QUEUE_KIND) != _WITHOUT_QUEUE, counters), True
-    return None, True
+def _ask(kernel: socket.socket, kind: int, flags: int, body: bytes) -> Iterator[bytes]:
+    """Yield the parts of the kernel's answer until none comes."""
+    with suppress(OSError):
+        kernel.send(_HEADER.pack(_HEADER.size + len(body), kind, _REQUEST | flags, 1, 0) + body)
+        while True:
+            yield kernel.recv(65536)
 
 
-def find_root(answer: bytes, index: int) -> tuple[Backlog | None, bool]:
-    """Return the root queue if a part of the kernel's answer has it, and whether no other part is needed."""
-    for message in _messages(answer):
-        if message is None:
-            return None, True
-        kind, body = message
-        if kind == _NEWQDISC:
-            _, interface, _, parent, _ = _QDISC.unpack_from(body)
-            if (interface, parent) == (index, _ROOT):
-                return _backlog_of(_attributes(body[_QDISC.size :])), True
-    return None, False
+def bodies(answer: Iterable[bytes], kind: int) -> Iterator[bytes]:
+    """Yield the bodies of an answer's messages; one of another kind, as an error, ends it."""
+    for part in answer:
+        offset = 0
+        while offset + _HEADER.size <= len(part):
+            length, found, *_ = _HEADER.unpack_from(part, offset)
+            if found != kind or length < _HEADER.size:
+                return
+            yield part[offset + _HEADER.size : offset + length]
+            offset += (length + 3) & ~3
 
 
-def _backlog_of(told: dict[int, bytes]) -> Backlog | None:
-    if (stats := _attributes(told.get(_STATS2, b"")).get(_STATS_QUEUE)) is None:
+def link_in(body: bytes) -> tuple[int, bool, LinkCounters]:
+    """Return the number of the interface of a message, whether it has a queue, and its counters."""
+    _, _, index, flags, _ = _LINK.unpack_from(body)
+    told = _attributes(body[_LINK.size :])
+    rx_packets, tx_packets, rx_bytes, tx_bytes, _, _, _, tx_dropped = _STATS.unpack_from(told[_STATS64])
+    without_carrier = InterfaceState.NO_CARRIER if flags & _UP else InterfaceState.DOWN
+    counters = LinkCounters(
+        interface=told[_NAME].rstrip(b"\0").decode(),
+        rx_bytes=rx_bytes,
+        tx_bytes=tx_bytes,
+        rx_packets=rx_packets,
+        tx_packets=tx_packets,
+        tx_dropped=tx_dropped,
+        state=InterfaceState.UP if flags & _RUNNING else without_carrier,
+    )
+    return index, told.get(_QUEUE_KIND) != _WITHOUT_QUEUE, counters
+
+
+def root_queue_in(body: bytes, index: int) -> tuple[int, int] | None:
+    """Return bytes in the interface's root queue and packets that it has dropped, if a message is of that queue."""
+    _, interface, _, parent, _ = _QDISC.unpack_from(body)
+    stats = _attributes(_attributes(body[_QDISC.size :]).get(_STATS2, b"")).get(_STATS_QUEUE)
+    if (interface, parent) != (index, _ROOT) or stats is None:
         return None
     _, waiting_bytes, dropped_packets = _QUEUE.unpack_from(stats)
-    return Backlog(waiting_bytes=waiting_bytes, dropped_packets=dropped_packets)
-
-
-def _messages(answer: bytes) -> Iterator[tuple[int, bytes] | None]:
-    """Yield type and body of every message in a part of an answer, None for the message that ends the answer."""
-    offset = 0
-    while offset + _HEADER.size <= len(answer):
-        length, kind, *_ = _HEADER.unpack_from(answer, offset)
-        if kind in {_DONE, _ERROR} or length < _HEADER.size:
-            yield None
-            return
-        yield kind, answer[offset + _HEADER.size : offset + length]
-        offset += (length + 3) & ~3
+    return waiting_bytes, dropped_packets
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from arpd.host.netlink import Backlog, find_link, find_root, read_counters
+from arpd.host.netlink import bodies, link_in, read_counters, root_queue_in
 from arpd.model.interface import InterfaceState, LinkCounters
 
 # linux/rtnetlink.h, linux/if_link.h, linux/pkt_sched.h, linux/gen_stats.h
-NEWLINK, NEWQDISC, DONE, ERROR = 16, 36, 3, 2
+NEWQDISC, DONE, ERROR = 36, 3, 2
 NAME, QUEUE, STATS64 = 3, 6, 23
 KIND, STATS2, STATS_BASIC, STATS_QUEUE = 1, 7, 1, 3
 ROOT, NESTED = 0xFFFFFFFF, 0x8000
@@ -35,16 +35,22 @@ def qdisc(index, *, parent=ROOT, waiting=4242, stats=True):
 END = message(DONE, bytes(4))
 
 
-def test_the_root_queue_of_the_interface_is_found_among_others():
-    """Queues of other interfaces and leaves below the root are not the root queue."""
-    answer = qdisc(2, waiting=1) + qdisc(3, parent=0x80010001, waiting=2) + qdisc(3) + qdisc(4, waiting=5) + END
-    assert find_root(answer, 3) == (Backlog(waiting_bytes=4242, dropped_packets=17), True)
-
-
-@pytest.mark.parametrize("answer", [END, message(ERROR, bytes(20)), qdisc(2) + END, b"", qdisc(3, stats=False) + END])
-def test_without_a_root_queue_there_is_no_backlog(answer):
+@pytest.mark.parametrize(
+    ("parts", "found"),
+    [
+        # Among queues of other interfaces and leaves below the root.
+        ([qdisc(2, waiting=1) + qdisc(3, parent=0x80010001, waiting=2), qdisc(3) + qdisc(4, waiting=5)], (4242, 17)),
+        ([END, qdisc(3)], None),
+        ([message(ERROR, bytes(20)), qdisc(3)], None),
+        ([qdisc(2) + END], None),
+        ([b""], None),
+        ([qdisc(3, stats=False) + END], None),
+    ],
+)
+def test_the_root_queue_of_the_interface_is_found_in_any_part_of_the_answer(parts, found):
     """No answer, an error, another interface or a queue without counters gives no backlog."""
-    assert find_root(answer, 3)[0] is None
+    told = (root_queue_in(body, 3) for body in bodies(parts, NEWQDISC))
+    assert next(filter(None, told), None) == found
 
 
 @pytest.mark.parametrize(
@@ -55,7 +61,7 @@ def test_counters_state_and_queue_of_an_interface_are_found(flags, state, queue,
     """Each number stands where linux/if_link.h has it, and a Wi-Fi driver that queues by itself has no queue here."""
     stats = struct.pack("=24Q", 11, 22, 333, 444, 5, 6, 7, 8, *range(16))
     told = attribute(NAME, b"wlan0\0") + attribute(QUEUE, queue) + attribute(STATS64, stats)
-    answer = message(NEWLINK, struct.pack("=BxHiII", 0, 1, 3, flags, 0) + told)
+    body = struct.pack("=BxHiII", 0, 1, 3, flags, 0) + told
     counters = LinkCounters(
         interface="wlan0",
         rx_packets=11,
@@ -65,7 +71,7 @@ def test_counters_state_and_queue_of_an_interface_are_found(flags, state, queue,
         tx_dropped=8,
         state=InterfaceState(state),
     )
-    assert find_link(answer) == ((3, has_queue, counters), True)
+    assert link_in(body) == (3, has_queue, counters)
 
 
 def test_the_kernel_answers():
