@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import codecs
 import errno
 import os
 import re
 import sys
 from importlib import import_module
-from io import BufferedWriter, FileIO, TextIOWrapper
+from io import TextIOWrapper
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from arpd import __version__
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, NoAnswerError, RosUnavailableError
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
-# What stands for a character that a terminal lacks; as wide, for tables.
-_PLAIN = str.maketrans("…→≤≥−·µ±▁▂▃▄▅▆▇█", "~><>-.u~_.:-=+*#")
 COMMANDS = {
     "run": ("processes", "run the daemon on the robot computer"),
     "relay": ("processes", "carry topics of nodes whose code is not yours"),
@@ -75,50 +72,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return RosUnavailableError.exit_code
     except KeyboardInterrupt:
         return _INTERRUPTED
-    except _OutputError as error:
+    except OSError as error:
         return _unwritten(error)
     return code
 
 
-class _OutputError(OSError):
-    """Fault of standard output; one of a file has the same number."""
-
-
-class _Output(FileIO):
-    def write(self, data: Any) -> int:
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise _OutputError(error.errno, error.strerror) from None
-
-
-def _unwritten(error: _OutputError) -> int:
-    output = Path(f"/proc/self/fd/{sys.stdout.fileno()}").readlink()
+def _unwritten(error: OSError) -> int:
+    if error.errno not in {errno.EPIPE, errno.ENOSPC}:  # which nothing but standard output raises
+        raise error
     # The interpreter flushes stdout at exit, which must not raise again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if error.errno == errno.EPIPE:
         return _BROKEN_PIPE
-    print(f"arpd: {output}: {error.strerror}", file=sys.stderr)
+    print(f"arpd: {error.strerror}", file=sys.stderr)
     return ArpdError.exit_code
 
 
 def _write_plainly() -> None:
-    """Let no stream be missing where it is closed, or refuse a character that its encoding lacks; name its faults."""
-
-    def plain(error: UnicodeError) -> tuple[str, int]:
-        assert isinstance(error, UnicodeEncodeError)
-        lacking = error.object[error.start : error.end]
-        return lacking.translate(_PLAIN).encode("ascii", "replace").decode(), error.end
-
-    codecs.register_error("plain", plain)
+    """Let no stream be missing where it is closed, or refuse a character that its encoding lacks."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115 - until the process ends
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="plain")
+            stream.reconfigure(errors="replace")
         setattr(sys, name, stream)
-    if (usual := sys.__stdout__) is sys.stdout and usual is not None:  # the process's own
-        output = BufferedWriter(_Output(usual.fileno(), "wb", closefd=False))
-        sys.stdout = TextIOWrapper(output, usual.encoding, "plain", line_buffering=usual.line_buffering)
 
 
 def run_executable() -> int:
