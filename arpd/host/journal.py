@@ -9,29 +9,16 @@ from __future__ import annotations
 import logging
 import os
 import re
-import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
 
-from logging_journald import Facility, JournaldTransport
+from logging_journald import Facility, JournaldTransport, check_journal_stream
 
 from arpd.report.conditions import MESSAGE_IDS, Event, Severity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 SOCKET = Path("/run/systemd/journal/socket")
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _NO_FIELD = re.compile(r"[^A-Z0-9_]")
-
-
-def takes_stderr(environ: Mapping[str, str], stream: TextIO) -> bool:
-    """Return whether a stream leads to the journal: JOURNAL_STREAM names its file then (systemd.exec(5))."""
-    try:
-        status = os.fstat(stream.fileno())
-    except (OSError, ValueError):  # closed, or not a file
-        return False
-    return environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
 
 
 class JournalHandler(logging.Handler):
@@ -99,29 +86,23 @@ _PLAIN = "%(levelname)s %(name)s: %(message)s"
 _LEVELS = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
 
 
-def configure_logging(
-    level: str,
-    *,
-    name: str = "arpd",
-    environ: Mapping[str, str] = os.environ,
-    stderr: TextIO | None = None,
-    journal: Path = SOCKET,
-) -> None:
+def configure_logging(level: str, *, name: str = "arpd", journal: Path = SOCKET) -> None:
     """Log at ``level`` (a name of the logging module, any case): to the journal if stderr leads there, else to stderr.
 
     Parameters
     ----------
     name : of the process in the journal; a unit of arpd goes by its own, which has the robot's name in it
-    stderr : None = the process's own
     journal : socket of the journal
     """
-    stderr = stderr or sys.stderr
-    if takes_stderr(environ, stderr) and journal.is_socket():
-        unit = Path(environ.get("RUNTIME_DIRECTORY") or name).name  # systemd.exec(5); arpd's units name theirs so
+    has_stderr = False
+    with suppress(OSError, ValueError):  # stderr is closed, or JOURNAL_STREAM no file
+        has_stderr = check_journal_stream()
+    if has_stderr and journal.is_socket():
+        unit = Path(os.environ.get("RUNTIME_DIRECTORY", name)).name  # systemd.exec(5); arpd's units name theirs so
         handler: logging.Handler = JournalHandler(unit, path=journal)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
-        handler = logging.StreamHandler(stderr)
+        handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter(_PLAIN))
     logging.basicConfig(level=level.upper(), handlers=[handler])
 
