@@ -1,4 +1,4 @@
-"""The radio: nl80211's answers as the kernel encodes them, and every reason for an unknown rate."""
+"""The radio: nl80211's answers as pyroute2 decodes them, and every reason for an unknown rate."""
 
 from __future__ import annotations
 
@@ -14,38 +14,25 @@ from pyroute2.netlink.nl80211 import nl80211cmd
 from arpd.host import interface, radio
 from arpd.model.errors import NotKnownError
 
-# linux/nl80211.h
-ATTR_WIPHY, ATTR_IFINDEX, ATTR_MAC, ATTR_STA_INFO, ATTR_REG_ALPHA2, ATTR_PS_STATE = 1, 3, 6, 21, 33, 93
-STA_INFO_SIGNAL, STA_INFO_TX_BITRATE, STA_INFO_RX_BITRATE = 7, 8, 14
-RATE_BITRATE, RATE_BITRATE32 = 1, 5
-CMD_NEW_STATION = 19
-NESTED = 0x8000
-
-
-def attribute(kind, value, *, nested=False):
-    """Return one netlink attribute: length, type, value, padded to four bytes (netlink(7))."""
-    if nested:
-        kind, value = kind | NESTED, b"".join(value)
-    return struct.pack("HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
-
-
-def rate(kind, *, bitrate):
-    parts = [attribute(RATE_BITRATE, struct.pack("H", bitrate)), attribute(RATE_BITRATE32, struct.pack("I", bitrate))]
-    return attribute(kind, parts, nested=True)
-
 
 def answer(*attributes):
-    """Decode an answer of the kernel."""
-    body = struct.pack("BBH", CMD_NEW_STATION, 1, 0) + b"".join(attributes)
-    message = nl80211cmd(struct.pack("IHHII", 16 + len(body), 27, 2, 1, 0) + body)
-    message.decode()
-    return message
+    """Return an answer of the kernel, encoded and decoded."""
+    message, decoded = nl80211cmd(), nl80211cmd()
+    message["attrs"] = [(f"NL80211_ATTR_{name}", value) for name, value in attributes]
+    message.encode()
+    decoded.data = message.data
+    decoded.decode()
+    return decoded
 
 
-def station(*info):
-    """Decode an answer of the kernel about one station."""
-    station = attribute(ATTR_IFINDEX, struct.pack("I", 3)), attribute(ATTR_MAC, bytes(range(6)))
-    return answer(*station, *([attribute(ATTR_STA_INFO, info, nested=True)] if info else []))
+def station(**info):
+    """Return an answer about one station; a number of a rate is its bit rate (100 kbit/s)."""
+    rate = "NL80211_RATE_INFO_BITRATE"
+    nested = {
+        name: {"attrs": [(rate, value), (f"{rate}32", value)]} if name.endswith("RATE") else value
+        for name, value in info.items()
+    }
+    return answer(("STA_INFO", {"attrs": [(f"NL80211_STA_INFO_{name}", value) for name, value in nested.items()]}))
 
 
 @pytest.fixture
@@ -69,29 +56,21 @@ def kernel(sys_net, monkeypatch):
     return give
 
 
-def told_region(code, number=None):
-    named = [] if number is None else [attribute(ATTR_WIPHY, struct.pack("I", number))]
-    return answer(*named, attribute(ATTR_REG_ALPHA2, code.encode() + b"\0"))
-
-
 def test_a_radio_is_read(kernel):
     """A rate of 866.7 Mbit/s is told in bytes; the receive rate is ignored; a radio's own regulatory domain counts."""
-    signal = attribute(STA_INFO_SIGNAL, b"\xc4")
-    kernel(station(signal, rate(STA_INFO_TX_BITRATE, bitrate=8667), rate(STA_INFO_RX_BITRATE, bitrate=60)))
+    kernel(station(SIGNAL=-60, TX_BITRATE=8667, RX_BITRATE=60))
     assert radio.transmit_rate("wlan0") == pytest.approx(866.7e6 / 8)
     assert radio.signal("wlan0") == -60
-    kernel(answer(attribute(ATTR_PS_STATE, struct.pack("I", 1))))
+    kernel(answer(("PS_STATE", struct.pack("I", 1))))
     assert radio.power_save("wlan0")
-    kernel(told_region("00"), told_region("DE", number=1))
+    kernel(answer(("REG_ALPHA2", "00")), answer(("WIPHY", 1), ("REG_ALPHA2", "DE")))
     assert radio.region("wlan0") == "DE"
 
 
-@pytest.mark.parametrize(
-    "info", [None, [], [attribute(STA_INFO_SIGNAL, b"\xc4")], [rate(STA_INFO_TX_BITRATE, bitrate=0)]]
-)
-def test_a_station_that_tells_no_rate_bounds_nothing(kernel, info):
+@pytest.mark.parametrize("stations", [[], [{}], [{"SIGNAL": -60}], [{"TX_BITRATE": 0}]])
+def test_a_station_that_tells_no_rate_bounds_nothing(kernel, stations):
     """Without an access point, or before the first frame, which some drivers tell as zero, there is no rate."""
-    kernel(*([] if info is None else [station(*info)]))
+    kernel(*(station(**info) for info in stations))
     with pytest.raises(NotKnownError, match="no bit rate now"):
         radio.transmit_rate("wlan0")
 
