@@ -59,24 +59,22 @@ class Situation:
 
     Parameters
     ----------
-    conditions : of link and plan, at least one, the most important first
-    faults : of ticks, configuration, relay, publishers and peers, the worst first
+    findings : all that holds: of link and plan at least one, the most important first, then faults, the worst first
     slowed : topics that the link keeps below their sources' rates, the most slowed first
     """
 
-    conditions: tuple[Finding, ...]
-    faults: tuple[Finding, ...]
+    findings: tuple[Finding, ...]
     slowed: tuple[Slowed, ...]
 
     @property
     def verdict(self) -> Finding:
         """The condition that matters most."""
-        return self.conditions[0]
+        return self.findings[0]
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
-        """All that holds."""
-        return (*self.conditions, *self.faults)
+    def faults(self) -> tuple[Finding, ...]:
+        """Those of ticks, configuration, relay, publishers and peers."""
+        return tuple(filter(_is_fault, self.findings))
 
 
 def judge(snapshot: Snapshot, *, rows: Sequence[Topic] | None = None, now_s: float | None = None) -> Situation:
@@ -95,13 +93,11 @@ def judge(snapshot: Snapshot, *, rows: Sequence[Topic] | None = None, now_s: flo
     if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > Condition.STALE.holds_s:
         why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
         found.append(Finding(Condition.STALE, why))
-    found.sort(key=lambda finding: _RANK[finding.condition])
-    last = _RANK[Condition.CLEAR]
-    return Situation(
-        conditions=tuple(each for each in found if _RANK[each.condition] <= last),
-        faults=tuple(each for each in found if _RANK[each.condition] > last),
-        slowed=slowed,
-    )
+    return Situation(findings=tuple(sorted(found, key=lambda finding: _RANK[finding.condition])), slowed=slowed)
+
+
+def _is_fault(finding: Finding) -> bool:
+    return _RANK[finding.condition] > _RANK[Condition.CLEAR]
 
 
 def lasting(snapshot: Snapshot) -> list[Finding]:
@@ -114,11 +110,10 @@ def find(snapshot: Snapshot) -> tuple[Finding, ...]:
 
     No wall clock has a say.
     """
-    found = (
+    return tuple(
         each if math.isfinite(each.since_s) else replace(each, since_s=_since_s(snapshot, each))
         for each in _found_in(snapshot)
     )
-    return tuple(found)
 
 
 def _since_s(snapshot: Snapshot, finding: Finding) -> float:
@@ -314,10 +309,9 @@ def status_line(snapshot: Snapshot | None) -> str:
         return "starting"
     # Judged whole only while nothing is planned: such a judgement reads every topic.
     found = lasting(snapshot) if snapshot.managed else judge(snapshot).findings
-    phrases = {finding.condition: finding.phrase for finding in found}
     first = (Condition.STANDING_BY, Condition.MEASURING, Condition.NOTHING_TO_MANAGE)
-    waits = next((phrases[condition] for condition in first if condition in phrases), "")
-    faults = [phrase for condition, phrase in phrases.items() if _RANK[condition] > _RANK[Condition.CLEAR]]
+    waits = next((finding.phrase for finding in found if finding.condition in first), "")
+    faults = [finding.phrase for finding in found if _is_fault(finding)]
     return "; ".join(filter(None, [_interface_fault(snapshot), waits or _figures(snapshot), *faults]))
 
 
