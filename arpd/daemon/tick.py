@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from arpd import __version__
 from arpd.daemon.record import Record
 from arpd.daemon.reload import Configuration
-from arpd.daemon.restore import restore
 from arpd.estimate.estimator import Estimator
 from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
 from arpd.govern.progress import Progress, progress
 from arpd.model.allocation import Allocation, Decision
+from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
 from arpd.model.price import Price
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot
@@ -26,14 +26,18 @@ from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_tra
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.daemon.world import World
     from arpd.model.allocation import Topic
+    from arpd.model.endpoints import PublisherState
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
     from arpd.report.conditions import Event
+    from arpd.ros.world import RosControl
     from arpd.sim.oracle import Oracle
+    from arpd.sim.world import SimulatedWorld
     from arpd.solve.link import Link
+
+    World = RosControl | SimulatedWorld
 
 TICK_S = 0.1
 _RESTING_TICK_S = 0.25  # while next to nothing crosses the link
@@ -43,6 +47,8 @@ _PLAN_S = 0.49  # twice a second: ticks come every 0.1 s or sooner, and the near
 _MOST_REST_S = 2.0  # planning that something else held up is no measure
 _RESTS = 30.0  # times its duration, so that a thousand topics leave most of a core to the robot
 _HEAR_S = 5.0  # time until every endpoint with a plan, and any other daemon, has been heard
+_RESTORE_S = 8.0  # a swap settles for three seconds, proves itself and is told
+_UNPACE_S = 3.0  # more for the rates, which need no swap
 
 
 class Planned(NamedTuple):
@@ -271,7 +277,10 @@ class Daemon:
         self._governor.reconfigure(fresh)
 
     def restore(self, *, wait: Callable[[float], None]) -> int:
-        """Give every publisher its application's QoS back; see `arpd.daemon.restore.restore`.
+        """Give every publisher that carries a plan its application's QoS back, and wait until the snapshots show it.
+
+        The rates come last: on a link that cannot carry the applications' full traffic, no new writer could prove
+        itself.
 
         Parameters
         ----------
@@ -281,13 +290,30 @@ class Daemon:
         -------
         Number of publishers that did not confirm in time.
         """
-        generation = self._governor.plan.generation + 1
+        generation, missing = self._governor.plan.generation + 1, 0
         self._observe(self._clock())
         while self._clock() - self._began_s < _HEAR_S:
             # Endpoints with a predecessor's plan, or the active daemon, may not have been heard yet.
             wait(TICK_S)
             self._observe(self._clock())
-        return restore(self._world, self._observe, generation=generation, clock=self._clock, wait=lambda: wait(TICK_S))
+        begun_s = self._clock()
+        for is_paced, until_s in ((True, _RESTORE_S), (False, _RESTORE_S + _UNPACE_S)):
+            while True:
+                seen = self._observe(self._clock())
+                if seen.active_daemon:
+                    return 0  # the plan in force is another daemon's
+                # Also with a predecessor's plan, and on a topic whose far reader has left.
+                publishers = [publisher for publisher in seen.publishers if publisher.generation > 0]
+                generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))
+                rows = {publisher.topic: _own_qos(publisher, is_paced=is_paced) for publisher in publishers}
+                plan = QosPlan(generation=generation, topics=rows)
+                shown = progress(publishers, plan)
+                missing = len(publishers) - shown.confirmed
+                if not (missing or shown.missing) or seen.now_s - begun_s > until_s:
+                    break
+                self._world.apply(plan, lease_s=0.0, missing=shown.missing, now_s=seen.now_s)
+                wait(TICK_S)
+        return missing
 
     def status_line(self) -> str:
         """Return one line for ``systemctl status``."""
@@ -302,3 +328,12 @@ def _crossing(seen: Observation) -> int:
 def _share(budget: float, link: LinkEstimate) -> float:
     """Return a budget as a part of what the link has for arpd's topics, 0..1."""
     return min(1.0, budget / max(1.0, link.available_bytes_per_second))
+
+
+def _own_qos(publisher: PublisherState, *, is_paced: bool) -> TopicPlan:
+    return TopicPlan(
+        rate_hz=publisher.paced_rate_hz if is_paced else math.inf,
+        min_rate_hz=0.0,
+        deadline_ns=publisher.baseline_deadline_ns,
+        depth=publisher.baseline_depth,
+    )

@@ -95,35 +95,19 @@ class Governor:
         """
         cause, self._is_postponed = "", False
         if lasting.topics:
-            self._look(now_s, lasting, topics, publishers, participants)
+            self._now_s, self._lasting, self._topics = now_s, lasting, topics
+            planned, others = self.plan.topics, [each for each in publishers if each.topic not in self.plan.topics]
+            self._in_force = {**_rows_in_force(others), **planned}
+            # After a restart the rows of the predecessor count as the previous plan.
+            previous = {**_rows_in_force(other for other in others if other.generation > 0), **planned}
+            self._wanted = Wanted(lasting, topics, publishers, previous=previous, settings=self._settings)
+            self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
+            self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
+            self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
+            self._swaps.fill(now_s, lasting.budget_bytes_per_second)
             cause = self._follow_memory() or self._follow(state)
             self._is_postponed |= bool(self._owed)
-        return Decision(
-            allowed=_allowed(rates, topics),
-            plan=self.plan,
-            reason=cause,
-            is_postponed=self._is_postponed,
-        )
-
-    def _look(
-        self,
-        now_s: float,
-        lasting: Allocation,
-        topics: Sequence[Topic],
-        publishers: Sequence[PublisherState],
-        participants: int,
-    ) -> None:
-        """Note what a plan would be made for now."""
-        self._now_s, self._lasting, self._topics = now_s, lasting, topics
-        planned, others = self.plan.topics, [each for each in publishers if each.topic not in self.plan.topics]
-        self._in_force = {**_rows_in_force(others), **planned}
-        # After a restart the rows of the predecessor count as the previous plan.
-        previous = {**_rows_in_force(other for other in others if other.generation > 0), **planned}
-        self._wanted = Wanted(lasting, topics, publishers, previous=previous, settings=self._settings)
-        self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
-        self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
-        self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
-        self._swaps.fill(now_s, lasting.budget_bytes_per_second)
+        return Decision(allowed=_allowed(rates, topics), plan=self.plan, reason=cause, is_postponed=self._is_postponed)
 
     def _follow_memory(self) -> str:
         """Take depths that the memory of now allows; return ``memory``, or nothing where those in force do.

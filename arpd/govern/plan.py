@@ -135,7 +135,15 @@ class Wanted:
             name, kept = topic.name, previous.get(topic.name)
             fit = _Fit(given, topic, request_ns=self.requests.get(name, 0), slack=slack, is_exact=is_exact)
             self.depths[name] = fit.depth
-            row = _row(fit, topic)
+            row = TopicPlan(
+                rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
+                min_rate_hz=topic.min_rate_hz,
+                deadline_ns=fit.deadline_ns,
+                depth=fit.depth,
+                weight=topic.weight,
+                wire_bytes=topic.wire_bytes,
+                packets=topic.packets,
+            )
             if name in self.silent:
                 row = self._silent(row, name, kept, is_large=name in large)
             elif kept is not None:
@@ -169,15 +177,3 @@ class Wanted:
         if kept.weight > 0 and kept.packets:  # a size includes the heartbeats of a sample, which depend on the rate
             row = replace(row, wire_bytes=kept.wire_bytes, packets=kept.packets)
         return self.with_qos_of(row, name, kept)
-
-
-def _row(fit: _Fit, topic: Topic) -> TopicPlan:
-    return TopicPlan(
-        rate_hz=_SOURCE_MARGIN * topic.desired_rate_hz,
-        min_rate_hz=topic.min_rate_hz,
-        deadline_ns=fit.deadline_ns,
-        depth=fit.depth,
-        weight=topic.weight,
-        wire_bytes=topic.wire_bytes,
-        packets=topic.packets,
-    )

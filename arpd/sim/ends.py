@@ -47,7 +47,7 @@ class SimulatedEnd(SimulatedThread):
         self._there, self.back = there, back
         # Its participant waits for no write: what a full socket does not take is sent again.
         self.socket = Socket(timeline, there, room_bytes=math.inf)
-        small = SimulatedWriter(self.socket, back, self, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
+        small = SimulatedWriter(self.socket, back, self._on_small, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
         super().__init__(timeline, LinkQueue(session, timeline.now_s, together=small.publish))
         self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self.other: SimulatedEnd = self
@@ -77,10 +77,7 @@ class SimulatedEnd(SimulatedThread):
         self.run()
         return chunk
 
-    def on_arrival(self, sample: bytes) -> None:
-        """Do nothing: small messages that leave together have a latency each."""
-
-    def on_delivery(self, sample: bytes) -> None:
+    def _on_small(self, sample: bytes) -> None:
         """Deliver small messages that left together."""
         for record in unpack(self.other.arrived(sample, is_together=True).part):
             self._writers[record.writer](record)
@@ -119,7 +116,7 @@ class SimulatedLinkTopic(SimulatedSource):
         self._end = end
         self._numbers = count()
         self._assembly = Assembly()
-        writer = SimulatedWriter(end.socket, end.back, self, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
+        writer = SimulatedWriter(end.socket, end.back, self._on_chunk, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
         self._key = writer_key(topic.name)
         self._lane = Lane(writer.publish, has_company=True)
         self._lane.plan = replace(self._lane.plan, depth=RCLPY_DEPTH)
@@ -149,10 +146,7 @@ class SimulatedLinkTopic(SimulatedSource):
         flow = self._lane.state(self.timeline.now_s)
         return self.arrivals.result(flow, expected=flow.offered)
 
-    def on_arrival(self, sample: bytes) -> None:
-        """Do nothing: a chunk has no latency of its own."""
-
-    def on_delivery(self, sample: bytes) -> None:
+    def _on_chunk(self, sample: bytes) -> None:
         """Put a chunk to its message at the other end; the ghost there publishes what is whole."""
         if (message := self._assembly.add(self._end.other.arrived(sample))) is not None:
             for record in unpack(message):

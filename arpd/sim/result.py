@@ -103,7 +103,7 @@ def percentile(values: Sequence[float], q: float) -> float | None:
 
 
 class Arrivals:
-    """Counts of one reader, a `Sink`; sequence numbers count the samples that the application published.
+    """Counts of one reader; sequence numbers count the samples that the application published.
 
     Parameters
     ----------

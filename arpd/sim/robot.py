@@ -209,7 +209,10 @@ class SimulatedPublisher(SimulatedSource):
 
     def _create(self, back: Carrier, heartbeat_s: float, qos: WriterQos) -> SimulatedWriter:
         self.swaps += 1
-        return SimulatedWriter(self._socket, back, self.arrivals, qos=qos, heartbeat_s=heartbeat_s)
+        take = self.arrivals
+        return SimulatedWriter(
+            self._socket, back, take.on_delivery, arrive=take.on_arrival, qos=qos, heartbeat_s=heartbeat_s
+        )
 
     def _service(self) -> None:
         if not self._socket.is_full:

@@ -61,7 +61,7 @@ class _Node:
 
 
 class SimulatedWorld:
-    """An `arpd.daemon.world.World` over the simulated link, which all traffic from and to remote nodes crosses.
+    """The world over the simulated link, which all traffic from and to remote nodes crosses; see `arpd.ros.world`.
 
     Parameters
     ----------

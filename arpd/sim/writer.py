@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from arpd.model.endpoints import WriterQos
     from arpd.sim.socket import Carrier, Socket
+
+    Take = Callable[[bytes], None]
 
 # Fast DDS resends at every ACKNACK, even samples that wait in the queue. This writer resends a sample once in this time
 # and never while it is on its way, so the robot without arpd looks better here than in reality.
 _RESEND_S = 0.1
 _MOST_ASKED = 256  # most numbers in one ACKNACK (RTPS 2.3, §9.4.2.6)
-
-
-class Sink(Protocol):
-    """What a reader gives its samples to."""
-
-    def on_arrival(self, sample: bytes) -> None:
-        """Take a sample from the wire; the middleware may hold it back until older ones arrive."""
-
-    def on_delivery(self, sample: bytes) -> None:
-        """Take a sample that the application receives."""
 
 
 class _Reader:
@@ -35,8 +29,8 @@ class _Reader:
     until the gap is filled or a heartbeat says that the missing samples are gone.
     """
 
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
+    def __init__(self, deliver: Take, arrive: Take) -> None:
+        self._deliver, self._arrive = deliver, arrive
         self._held: dict[int, bytes] = {}  # samples behind a gap
         self._highest = 0
         self.next = 1
@@ -44,11 +38,11 @@ class _Reader:
     def on_data(self, number: int, sample: bytes) -> None:
         if number < self.next or number in self._held:
             return
-        self._sink.on_arrival(sample)
+        self._arrive(sample)
         if number > self.next:
             self._held[number] = sample
             return
-        self._sink.on_delivery(sample)
+        self._deliver(sample)
         self.next += 1
         if self._held:
             self._release()
@@ -58,7 +52,7 @@ class _Reader:
         self._highest = max(self._highest, last)
         if first > self.next:
             for number in sorted(number for number in self._held if number < first):
-                self._sink.on_delivery(self._held.pop(number))
+                self._deliver(self._held.pop(number))
             self.next = first
             self._release()
         if self._highest < self.next:
@@ -68,7 +62,7 @@ class _Reader:
 
     def _release(self) -> None:
         while self.next in self._held:
-            self._sink.on_delivery(self._held.pop(self.next))
+            self._deliver(self._held.pop(self.next))
             self.next += 1
 
 
@@ -81,16 +75,27 @@ class SimulatedWriter:
     ----------
     socket : of the participant; there samples wait while the queue is full
     back : way of the acknowledgements
+    deliver : takes each sample that the application receives
+    arrive : takes each sample from the wire; the middleware may hold it back until older ones arrive
     qos : depth (samples); the deadline changes nothing here
     heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
     """
 
-    def __init__(self, socket: Socket, back: Carrier, sink: Sink, *, qos: WriterQos, heartbeat_s: float) -> None:
+    def __init__(
+        self,
+        socket: Socket,
+        back: Carrier,
+        deliver: Take,
+        *,
+        arrive: Take = lambda _sample: None,
+        qos: WriterQos,
+        heartbeat_s: float,
+    ) -> None:
         self._timeline, self._there, self._back = socket.timeline, socket.carrier, back
         self._socket = socket
         self._depth = qos.depth
         self._heartbeat_s = heartbeat_s
-        self._reader = _Reader(sink)
+        self._reader = _Reader(deliver, arrive)
         self._history: dict[int, bytes] = {}
         self._settled_at_s: dict[int, float] = {}  # when all that was sent of a sample has arrived or is lost
         self._missing: dict[int, int] = {}  # packets of a sample that have not arrived
