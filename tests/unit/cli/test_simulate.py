@@ -74,16 +74,6 @@ def test_the_same_seed_gives_the_same_document(simulate):
     assert first == again != other
 
 
-@pytest.mark.parametrize("width", [40, 46])
-def test_a_narrow_terminal_loses_other_ways_and_no_title(simulate, monkeypatch, width):
-    """What stands before a figure says what it is."""
-    monkeypatch.setenv("COLUMNS", str(width))
-    lines = simulate("--rate", "0:3mbit", *QUICK, config="tiny.yaml")[1].splitlines()
-    assert max(map(len, lines)) <= width
-    assert not [line for line in lines if "…" in line]
-    assert [line for line in lines if line.startswith("FROM 10 S ON") and "ARPD" in line]
-
-
 # -- the robot and the link
 
 

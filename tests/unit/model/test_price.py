@@ -75,16 +75,6 @@ def test_the_price_gives_everybody_the_programs_rate(topics, capacity, share, ov
         assert allocation.price.rate_hz(row_of(topic)) == pytest.approx(given_.rate_hz, rel=1e-9)
 
 
-def test_weights_that_almost_agree_are_two_classes():
-    """Of two floors whose weights differ in the last digit only the lighter one is given up, as the program does."""
-    topics = [
-        Topic(name=f"/t{i}", wire_bytes=1000.0, packets=1, desired_rate_hz=1.0, min_rate_hz=1.0, weight=weight)
-        for i, weight in enumerate((99.99999999999999, 100.0))
-    ]
-    price = divided(topics, 1000.0, 0.25).price
-    assert [price.rate_hz(row_of(topic)) for topic in topics] == [0.0, 0.25]
-
-
 @examples(100)
 @given(robots(), CAPACITIES, SHARES, OVERHEADS)
 def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):

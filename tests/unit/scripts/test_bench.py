@@ -146,25 +146,6 @@ def test_a_tree_is_what_is_measured_and_not_the_commit(monkeypatch, tmp_path):
     assert trees[0] == trees[1] != trees[2]
 
 
-@pytest.mark.parametrize(
-    ("line", "word"),
-    [
-        ("nosuch", "fuzz"),
-        ("solve --only x", "robots"),
-        ("all --only x", "fuzz"),
-        ("robots --only nosuch", "wifi-walk"),
-        ("estimate --only nosuch", "near zero"),
-        ("fuzz --only (", "snapshot"),
-    ],
-)
-def test_wrong_usage_names_what_there_is(monkeypatch, capsys, line, word):
-    """A benchmark or a part that does not exist is refused before anything is measured."""
-    monkeypatch.setattr(sys, "argv", ["bench", *line.split()])
-    with pytest.raises(SystemExit, match="2"):
-        bench.main()
-    assert word in capsys.readouterr().err.splitlines()[-1]
-
-
 @pytest.mark.parametrize("reader", READERS)
 def test_each_reader_has_a_test_that_takes_what_the_fuzzer_draws(reader):
     """A test that gets another name would end the fuzzer after minutes."""

@@ -89,17 +89,6 @@ def test_a_side_of_whose_samples_none_came_in_a_round_is_never_in_the_readmes_ta
     assert "| arpd |  |  |  |  |" in lines
 
 
-def test_all_targets_stand_in_one_list_and_nowhere_else():
-    """Those that are missed stand first, the others are folded; a column that no figure has is left out."""
-    figures = [figure("well", 1.0, "s", most=2.0), figure("late", 3.0, "s", most=2.0), figure("seen", 4.0)]
-    known = {"demo": Summary(about="", figures=figures), "swap": Summary(about="", figures=figures[:1])}
-    shown, _, folded = targets(known).partition("<details>")
-    assert "1 of 3 targets" in shown
-    assert ("| demo | late | **3** | ≤ 2 | s |" in shown, "| swap | well | 1 | ≤ 2 | s |" in folded) == (True, True)
-    section = known["demo"].markdown()
-    assert ("| seen | 4 |" in section, "| late |" in section, "well" in section) == (True, False, False)
-
-
 def test_a_figure_that_misses_its_target_looks_like_it():
     """Three digits would show some as met; one that never came has no number."""
     figures = [
