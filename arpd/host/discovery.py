@@ -167,16 +167,15 @@ def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:
     The transports are those over which it takes part in discovery of topics; shared memory is not told.
     """
     properties: dict[str, str] = {}
-    transports: set[str] = set()
+    kinds: set[int] = set()
     with suppress(struct.error, IndexError, UnicodeDecodeError):
         for parameter, order, value in _parameters(packet):
             if parameter == _PROPERTY_LIST:
-                properties.update(_pairs(value, order))
-            elif (
-                parameter == _METATRAFFIC_LOCATOR and (kind := struct.unpack_from(f"{order}i", value)[0]) in _TRANSPORTS
-            ):
-                transports.add(_TRANSPORTS[kind])
-    return properties, transports
+                words = _words(value, order)
+                properties.update(zip(words, words, strict=False))
+            elif parameter == _METATRAFFIC_LOCATOR:
+                kinds.add(struct.unpack_from(f"{order}i", value)[0])
+    return properties, {name for kind, name in _TRANSPORTS.items() if kind in kinds}
 
 
 def _parameters(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
@@ -202,17 +201,13 @@ def _submessages(packet: bytes) -> Iterator[tuple[int, str, bytes]]:
         offset = end
 
 
-def _pairs(data: bytes, order: str) -> Iterator[tuple[str, str]]:
-    (number,) = struct.unpack_from(f"{order}I", data)
-    offset = 4
-    for _ in range(min(number, 100)):
-        words = []
-        for _ in range(2):
-            (length,) = struct.unpack_from(f"{order}I", data, offset)
-            words.append(data[offset + 4 : offset + 4 + length].rstrip(b"\0").decode())
-            offset += 4 + (length + 3 & ~3)
-        name, value = words
-        yield name, printable(value, longest=_MOST_NAME)
+def _words(data: bytes, order: str) -> Iterator[str]:
+    """Yield the texts of a list of properties: names and values by turns."""
+    offset = 4  # after their number
+    while offset + 4 <= len(data):
+        (length,) = struct.unpack_from(f"{order}I", data, offset)
+        yield printable(data[offset + 4 : offset + 4 + length].rstrip(b"\0").decode(), longest=_MOST_NAME)
+        offset += 4 + (length + 3 & ~3)
 
 
 def listen(interface: str, domain_id: int, *, duration_s: float) -> HeardDiscovery:
