@@ -11,8 +11,7 @@ from arpd.cli.client import connect
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
-from arpd.host.interface import index_of, likeliest_interface, list_interfaces
-from arpd.host.kernel import interface_to
+from arpd.host.interface import index_of, interface_to, likeliest_interface, list_interfaces
 from arpd.host.services import OF_ARPD, service_states, used_on_base
 from arpd.model.errors import ArpdError, ConfigError, NoAnswerError, NotKnownError, UsageError
 from arpd.model.quantities import printable

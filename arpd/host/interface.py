@@ -9,7 +9,7 @@ import socket
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import psutil
 
@@ -21,9 +21,10 @@ from arpd.model.settings import AUTO
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 SYS_NET = Path("/sys/class/net")
-_PROC_ROUTE = Path("/proc/net/route")
+_ELSEWHERE, _DISCARD_PORT = "203.0.113.1", 9  # behind the default route (RFC 5737); nothing is sent there
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 _CHOOSE_S, _LOST_S = 1.0, 10.0
 _UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
@@ -53,10 +54,25 @@ def likeliest_interface() -> str | None:
     if radios := running_radios():
         return radios[0]
     others = [name for name in list_interfaces() or () if name != "lo"]
-    routed = _default_route()
-    if routed in others:
+    if (routed := interface_to(_ELSEWHERE)) in others:
         return routed
     return others[0] if len(others) == 1 else None
+
+
+def interface_to(address: str) -> str | None:
+    """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
+    own: str | None = of_route(address, lambda route: route.getsockname()[0])
+    return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
+
+
+def of_route(address: str, read: Callable[[socket.socket], T]) -> T | None:
+    """Return what a socket with a route to an address or a host name tells, None without a route. Nothing is sent."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as route:
+            route.connect((address, _DISCARD_PORT))
+            return read(route)
+    except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
+        return None
 
 
 def is_radio(name: str) -> bool:
@@ -69,16 +85,6 @@ def running_radios() -> list[str]:
     return [
         name for name in list_interfaces() or () if is_radio(name) and (found := read_counters(name)) and found.is_up
     ]
-
-
-def _default_route() -> str:
-    """Return the interface of the IPv4 default route (/proc/net/route, proc_net(5)), empty if there is none."""
-    try:
-        lines = _PROC_ROUTE.read_text().splitlines()[1:]
-    except OSError:
-        return ""
-    fields = (line.split() for line in lines)
-    return next((field[0] for field in fields if len(field) > 1 and field[1] == "00000000"), "")
 
 
 def hardware_address(name: str) -> str:
@@ -96,11 +102,11 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
         every = psutil.net_if_addrs()
     except OSError:
         return {}
-    found = {
-        name: frozenset(address.address for address in addresses if address.family == socket.AF_INET)
+    return {
+        name: found
         for name, addresses in every.items()
+        if (found := frozenset(address.address for address in addresses if address.family == socket.AF_INET))
     }
-    return {name: addresses for name, addresses in found.items() if addresses}
 
 
 def running_addresses() -> dict[str, frozenset[str]]:

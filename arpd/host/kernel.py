@@ -5,19 +5,13 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
 
-from arpd.host.interface import SYS_NET, ipv4_addresses, likeliest_interface, read_number
+from arpd.host.interface import SYS_NET, interface_to, likeliest_interface, of_route, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.settings import AUTO
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-T = TypeVar("T")
 PROC = Path("/proc")
 _IP_MTU = 14  # linux/in.h
-_DISCARD_PORT = 9  # nothing is sent there
 
 
 def read_mtu(interface: str) -> int:
@@ -38,13 +32,7 @@ def route_mtu(address: str) -> int | None:
 
     It knows the MTU of the route, and what routers on the way have answered. Nothing is sent.
     """
-    return _of_route(address, lambda route: route.getsockopt(socket.IPPROTO_IP, _IP_MTU))
-
-
-def interface_to(address: str) -> str | None:
-    """Return the interface of the route to an address or a host name, None if there is none. Nothing is sent."""
-    own: str | None = _of_route(address, lambda route: route.getsockname()[0])
-    return next((name for name, addresses in ipv4_addresses().items() if own in addresses), None)
+    return of_route(address, lambda route: route.getsockopt(socket.IPPROTO_IP, _IP_MTU))
 
 
 def interface_of_link(*ends: str | None) -> str | None:
@@ -64,18 +52,8 @@ def link_interface(configured: str, *ends: str | None) -> str:
 
 def is_own_address(address: str) -> bool:
     """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
-    ends = _of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
+    ends = of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
     return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
-
-
-def _of_route(address: str, read: Callable[[socket.socket], T]) -> T | None:
-    """Return what a socket with a route to the address tells, None without a route."""
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as route:
-            route.connect((address, _DISCARD_PORT))
-            return read(route)
-    except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
-        return None
 
 
 def counters(protocol: str, *, proc: Path = PROC) -> dict[str, int]:

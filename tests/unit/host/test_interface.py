@@ -11,7 +11,6 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState
 
 UP, DOWN = True, False
-ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 CABLE, RADIO = "plain", "wireless"
 
 
@@ -28,9 +27,8 @@ def test_auto_takes_the_radio_then_the_default_route_then_the_only_one(tmp_path,
     """What is down is no link, and between two cables without a route arpd does not guess."""
     for name, (_, kind) in interfaces.items():
         (tmp_path / name / kind).mkdir(parents=True)
-    (tmp_path / "route").write_text(ROUTE)
     monkeypatch.setattr(interface, "SYS_NET", tmp_path)
-    monkeypatch.setattr(interface, "_PROC_ROUTE", tmp_path / "route")
+    monkeypatch.setattr(interface, "interface_to", lambda _address: "eth0")
     monkeypatch.setattr(interface, "list_interfaces", lambda: ["lo", *interfaces])
     states = {UP: InterfaceState.UP, DOWN: InterfaceState.NO_CARRIER}
     kernel = Kernel()

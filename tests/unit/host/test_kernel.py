@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from arpd.host import kernel
-from arpd.host.kernel import counters, interface_of_link, interface_to, is_own_address, link_interface, route_mtu
+from arpd.host.interface import interface_to
+from arpd.host.kernel import counters, interface_of_link, is_own_address, link_interface, route_mtu
 
 SNMP = "Udp: InDatagrams RcvbufErrors\nUdp: 1000 7\nUdpLite: InDatagrams RcvbufErrors\nUdpLite: 9 9\n"
 
