@@ -6,6 +6,7 @@ import ipaddress
 import logging
 import os
 import ssl
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import ValidationError
@@ -38,22 +39,35 @@ class Daemon:
 
     Parameters
     ----------
-    address : where it answers
-    cacert : CA that verifies the daemon's certificate, None = the system's
-    user, password : basic authentication; without a user there is none
+    options : of the command line: the address, a CA, and whether and how to log in
+    address : where it answers, by default that of the options
 
     Raises
     ------
     UsageError
-        If the CA cannot be used.
+        If there is a user without a password, or one whose password would cross the network in clear, or a CA that
+        cannot be used, or is of no use.
     """
 
-    def __init__(self, address: Address, *, cacert: Path | None = None, user: str = "", password: str = "") -> None:
+    def __init__(self, options: argparse.Namespace, address: Address | None = None) -> None:
+        address = address or options.url
+        is_tls, user = address.base.startswith("https:"), options.user
+        if options.cacert and not is_tls:
+            raise UsageError("--cacert is for https://, which --url does not name")
+        if user and PASSWORD not in os.environ:
+            raise UsageError(
+                f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"
+            )
+        if user and not (is_tls or options.password_in_clear or _is_here(address.host)):
+            raise UsageError(
+                f"--user over http:// sends the password to {printable(address.host)} in clear; "
+                f"write https:// in --url, or give {IN_CLEAR}"
+            )
         self.url, self._base, self._user = address.url, address.base, user
         self._options = {
-            "ssl_options": _tls(cacert) if address.base.startswith("https:") else None,
+            "ssl_options": _tls(options.cacert) if is_tls else None,
             "auth_username": user or None,
-            "auth_password": password,
+            "auth_password": os.environ.get(PASSWORD, ""),
             "follow_redirects": False,
             "user_agent": "arpd",
         }
@@ -125,38 +139,11 @@ class Daemon:
             return None
 
 
-def connect(options: argparse.Namespace, address: Address | None = None) -> Daemon:
-    """Return the daemon that the options name, or the one at another address.
-
-    Raises
-    ------
-    UsageError
-        If there is a user without a password, or one whose password would cross the network in clear, or a CA without
-        TLS.
-    """
-    address = address or options.url
-    if options.cacert and not address.base.startswith("https:"):
-        raise UsageError("--cacert is for https://, which --url does not name")
-    if options.user and PASSWORD not in os.environ:
-        raise UsageError(
-            f"--user needs the password in ${PASSWORD}; there is no option for it, because ps shows options"
-        )
-    if options.user and not options.password_in_clear and not _is_private(address):
-        raise UsageError(
-            f"--user over http:// sends the password to {printable(address.host)} in clear; "
-            f"write https:// in --url, or give {IN_CLEAR}"
-        )
-    return Daemon(address, cacert=options.cacert, user=options.user, password=os.environ.get(PASSWORD, ""))
-
-
-def _is_private(address: Address) -> bool:
+def _is_here(host: str) -> bool:
     """Return whether nobody else hears what goes there; a name server may say anything of a name."""
-    if address.base.startswith("https:") or address.host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(address.host).is_loopback
-    except ValueError:
-        return False
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
 
 
 def read_status(document: dict[str, Any], *, source: str) -> Status | None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from arpd.cli.client import connect
+from arpd.cli.client import Daemon
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.discovery import listen
@@ -104,7 +104,7 @@ class Here:
             url = f"http://{http.netloc}"
             address = Address(url, http.host, url)
         try:
-            with connect(self._options, address) as daemon:
+            with Daemon(self._options, address) as daemon:
                 return daemon.status() or NotKnownError(f"the daemon at {address.url} has not finished a tick")
         except UsageError:
             raise

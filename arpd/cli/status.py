@@ -7,7 +7,7 @@ import sys
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from arpd.cli.client import connect, read_status
+from arpd.cli.client import Daemon, read_status
 from arpd.cli.frame import Frame, findings
 from arpd.cli.options import Command, add_address, add_json
 from arpd.cli.output import show
@@ -48,7 +48,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _status(options: argparse.Namespace) -> int:
-    with connect(options) as daemon:
+    with Daemon(options) as daemon:
         document = daemon.document()
         history = None if options.json else daemon.history()
     if options.json:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
-from arpd.cli.client import connect
+from arpd.cli.client import Daemon
 from arpd.cli.frame import Frame
 from arpd.cli.options import Command, add_address
 from arpd.model.errors import ArpdError, UsageError
@@ -44,7 +44,7 @@ exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start"""
 def _top(options: argparse.Namespace) -> int:
     if not sys.stdout.isatty() or os.environ.get("TERM", "dumb") in {"dumb", "unknown"}:
         raise UsageError("arpd top needs a terminal; arpd status prints the same once")
-    with connect(options) as daemon:
+    with Daemon(options) as daemon:
         seen = Frame(status=daemon.status(), history=daemon.history(), url=daemon.url)
         answered_s = history_s = time.monotonic()
         # A terminal, whatever the environment says: this has looked.

@@ -102,7 +102,7 @@ def _open(browser: Browser, url: str, size: ViewportSize, *, scale: float = 1.0)
 
 
 def _asked(url: str) -> Frame:
-    with Daemon(read_address(url)) as daemon:
+    with Daemon(argparse.Namespace(url=read_address(url), cacert=None, user="")) as daemon:
         return Frame(status=daemon.status(), history=daemon.history(), url="http://robot.local:9464")
 
 
