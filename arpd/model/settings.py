@@ -1,7 +1,10 @@
-"""Settings of the operator: every key of arpd.yaml with its kind, its default and its meaning.
+"""Settings of the operator: every key of arpd.yaml with its kind and its default.
 
-Programs make them from base units, without checks. `arpd.host.config` reads them from YAML: pydantic finds the kind
-of each value in its annotation. A key is called like its attribute, without the unit: ``hold: 2s`` is ``hold_s``.
+The shipped file, etc/arpd/arpd.yaml, explains each of them. None stands for the word in a key's `OrWord`. A key is
+called like its attribute, without the unit: ``hold: 2s`` is ``hold_s``.
+
+Programs make settings from base units, without checks. `arpd.host.config` reads them from YAML: pydantic finds the kind
+of each value in its annotation.
 """
 
 from __future__ import annotations
@@ -65,54 +68,29 @@ class Backend(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkSettings(Section):
-    """Settings of the link.
-
-    Parameters
-    ----------
-    interface : interface name, or ``auto``, as etc/arpd/arpd.yaml explains it
-    capacity_bytes_per_second : pinned capacity; cross traffic is still subtracted; None = estimate (bytes/s)
-    initial_capacity_bytes_per_second : capacity to assume before the first evidence (bytes/s)
-    headroom : η, the share of the capacity that may be planned, 0..1
-    packet_overhead_s : pinned t_ovh, link time of a packet beyond its bytes; None = estimate (s)
-    """
+    """Settings of the link."""
 
     interface: Annotated[str, Field(pattern=r"^[!-.0-9;-~]{1,15}$")] = AUTO
     capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit"), OrWord(AUTO)] = None
     initial_capacity_bytes_per_second: Annotated[float, rate("8kbit", "100gbit")] = 2.5e6
-    headroom: Annotated[float, Field(ge=0.05, le=1)] = 0.85
-    packet_overhead_s: Annotated[float | None, duration("0s", "100ms"), OrWord(AUTO)] = None
+    headroom: Annotated[float, Field(ge=0.05, le=1)] = 0.85  # η
+    packet_overhead_s: Annotated[float | None, duration("0s", "100ms"), OrWord(AUTO)] = None  # t_ovh
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProgramSettings(Section):
-    """Settings of the program.
-
-    Parameters
-    ----------
-    policy : division of the link among the topics
-    backend : solver of the program; ``closed_form`` answers where another one fails
-    deadline_slack : offered period = slack / R, ≥ 1
-    memory_budget_bytes : M, memory that all histories may take (bytes)
-    memory_reserve_bytes : memory that histories must leave free on the host (bytes)
-    """
+    """Settings of the program."""
 
     policy: Policy = Policy.PER_TOPIC
     backend: Backend = Backend.OSQP
     deadline_slack: Annotated[float, Field(ge=1, le=100)] = 1.25
-    memory_budget_bytes: Annotated[float, size("64KiB", "1024GiB")] = 64 * 2**20
+    memory_budget_bytes: Annotated[float, size("64KiB", "1024GiB")] = 64 * 2**20  # M
     memory_reserve_bytes: Annotated[float, size("0B", "1024GiB")] = 128 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GovernorSettings(Section):
-    """Thresholds that turn a measured change into a QoS swap (docs/design.md, The governor).
-
-    Parameters
-    ----------
-    hold_s : time that a change must last (s)
-    dwell_s : least time between a plan and the next one for a change of the link (s)
-    debounce_s : quiet time after topics come or go, before a new plan (s)
-    """
+    """Thresholds that turn a measured change into a QoS swap (docs/design.md, The governor)."""
 
     hold_s: Annotated[float, duration("0s", "1h")] = 2.0
     dwell_s: Annotated[float, duration("0s", "1h")] = 10.0
@@ -121,13 +99,7 @@ class GovernorSettings(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HttpSettings(Section):
-    """Settings of the server of metrics, status and page.
-
-    Parameters
-    ----------
-    host, port : address to listen on
-    web_config : file with TLS and users in the format of Prometheus exporters, None = no protection
-    """
+    """Settings of the server of metrics, status and page."""
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
@@ -154,20 +126,10 @@ class GraphSettings(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Preferences(Section):
-    """Preferences for a topic.
-
-    Parameters
-    ----------
-    weight : share of link time relative to other topics
-    min_rate_hz : floor (Hz); None = that of ``defaults``, which holds for small samples only
-    max_rate_hz : desired rate (Hz); None = the rate at which the application publishes
-    min_depth, max_depth : bounds of DEPTH (samples)
-    latency_budget_s : cap on the time that a full history stands for (s); more is bufferbloat after an outage;
-        None = no cap
-    """
+    """Preferences for a topic."""
 
     weight: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
-    min_rate_hz: Annotated[float | None, Field(ge=0, le=100_000)] = None
+    min_rate_hz: Annotated[float | None, Field(ge=0, le=100_000)] = None  # None: that of defaults, for small samples
     max_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), OrWord("source")] = None
     min_depth: Annotated[int, Field(ge=1, le=5000)] = 1
     max_depth: Annotated[int, Field(ge=1, le=5000)] = 5000
@@ -183,14 +145,7 @@ class DefaultPreferences(Preferences):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicSettings(Preferences):
-    """Preferences for one topic, or for all that a pattern matches.
-
-    Parameters
-    ----------
-    name : topic, or pattern of names
-    payload_bytes : serialized size of a sample, for `arpd solve` (bytes); None = measured. The daemon always measures
-    source_rate_hz : rate at which the application publishes, for `arpd solve` (Hz); None = measured
-    """
+    """Preferences for one topic, or for all that a pattern matches."""
 
     name: NamePattern
     payload_bytes: Annotated[float | None, size("1B", "1GB"), OrWord("measured")] = None
@@ -204,12 +159,7 @@ class TopicSettings(Preferences):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopicGroup(Section):
-    """Topics whose samples with one header stamp are thinned together.
-
-    Parameters
-    ----------
-    name : stands for them in the program; the first of them where none is given
-    """
+    """Topics whose samples with one header stamp are thinned together."""
 
     name: TopicName = ""
     topics: Annotated[tuple[TopicName, ...], Field(min_length=2)]
@@ -222,17 +172,11 @@ class TopicGroup(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayTopic(Section):
-    """Topic that the relay carries.
-
-    Parameters
-    ----------
-    overflow : treatment of samples above the paced rate
-    depth : KEEP_LAST depth before the first plan, None = one that suits the samples
-    """
+    """Topic that the relay carries."""
 
     name: TopicName
     overflow: Overflow = Overflow.LATEST
-    depth: Annotated[int | None, Field(ge=1, le=5000)] = None
+    depth: Annotated[int | None, Field(ge=1, le=5000)] = None  # None: one that suits the samples
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -245,21 +189,7 @@ class LinkDomain:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelaySettings(Section):
-    """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends.
-
-    Parameters
-    ----------
-    link_domain : ROS domain in which only arpd's processes live; None = one end, with the prefix
-    robot, base : address of each end on the link; None = unknown, then the other one must be known
-    namespace : stands before all of the robot's names on the base computer; empty = none
-    to_base, to_robot : patterns of the topics that may cross in each direction
-    deny : patterns of names that cross in neither
-    services, actions : patterns of those that may be called across the link, from either side
-    call_timeout_s : time after which a service call without an answer has failed (s)
-    groups : topics thinned together
-    prefix : with one end, the carried topic is ``prefix + name``
-    topics : topics to carry under the prefix; with two ends, topics with an overflow or a depth of their own
-    """
+    """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends."""
 
     link_domain: Annotated[int | None, Field(ge=0, le=MOST_DOMAIN), OrWord(NONE)] = None
     robot: Annotated[Address | None, OrWord(NONE)] = None
@@ -309,13 +239,7 @@ class RelaySettings(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Settings(Section):
-    """Whole configuration.
-
-    Parameters
-    ----------
-    defaults : preferences for topics without an entry in ``topics``
-    on_lost, lost_after_s : behaviour of publishers that have not heard the daemon for that long (s)
-    """
+    """Whole configuration."""
 
     link: LinkSettings = field(default_factory=LinkSettings)
     program: ProgramSettings = field(default_factory=ProgramSettings)
