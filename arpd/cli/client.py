@@ -97,13 +97,7 @@ class Daemon:
         return document
 
     def status(self) -> Status | None:
-        """Return the status, None before the first tick.
-
-        Raises
-        ------
-        DaemonUnreachableError, ArpdError
-            As `document` and `read_status`.
-        """
+        """Return the status, None before the first tick; raise what `document` and `read_status` do."""
         return read_status(self.document(), source=self.url)
 
     def history(self) -> History | None:

@@ -191,7 +191,6 @@ def _program(status: Status) -> str:
 
 
 def _relay(relay: RelaySummary) -> str:
-    """Say what crosses between the two ends of the relay."""
     to_base, to_robot = (f"{way.wanted} of {way.offered}" for way in (relay.to_base, relay.to_robot))
     others = (
         (relay.incomplete, "samples of incomplete groups dropped"),

@@ -28,12 +28,7 @@ _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, no
 
 
 class Here:
-    """Facts of this computer that several checks judge; those that nobody tells raise NotKnownError.
-
-    Parameters
-    ----------
-    options : of the command line
-    """
+    """Facts of this computer that several checks judge; those that nobody tells raise NotKnownError."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options, self._is_remote = options, not options.url.is_here

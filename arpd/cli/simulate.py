@@ -181,7 +181,6 @@ def _robot(options: argparse.Namespace) -> tuple[Path | None, Settings, tuple[Si
 
 
 def _trace(options: argparse.Namespace) -> tuple[LinkTrace, float]:
-    """Return the trace, and the length of the run (s)."""
     if options.trace is not None:
         trace = read_trace(options.trace)
     else:

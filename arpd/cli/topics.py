@@ -128,7 +128,6 @@ def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
 
 
 def _nothing_found(listed: TopicList) -> str:
-    """Say what to check where no node was found."""
 
     def value(name: str) -> str:
         return os.environ.get(name) or "not set"

@@ -234,7 +234,6 @@ def listen(interface: str, domain_id: int, *, duration_s: float) -> HeardDiscove
 
 
 def _packets(ear: socket.socket, duration_s: float) -> Iterator[tuple[bytes, str]]:
-    """Yield what arrives, with its sender's address."""
     began_s = time.monotonic()
     with suppress(TimeoutError):
         while (left_s := began_s + duration_s - time.monotonic()) > 0:
@@ -244,13 +243,7 @@ def _packets(ear: socket.socket, duration_s: float) -> Iterator[tuple[bytes, str
 
 
 def discovery_socket(domain_id: int) -> socket.socket:
-    """Return a socket for the multicast discovery of a domain; it hears the interfaces of `join_discovery`.
-
-    Raises
-    ------
-    OSError
-        If the kernel refuses it.
-    """
+    """Return a socket for the multicast discovery of a domain; it hears the interfaces of `join_discovery`."""
     ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -262,13 +255,7 @@ def discovery_socket(domain_id: int) -> socket.socket:
 
 
 def join_discovery(ear: socket.socket, index: int) -> None:
-    """Let a socket hear the interface with a number of the kernel.
-
-    Raises
-    ------
-    OSError
-        If it cannot join the group: it is down, or has no address.
-    """
+    """Let a socket hear the interface with a number of the kernel; OSError where that is down, or has no address."""
     member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
     ear.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
 

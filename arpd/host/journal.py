@@ -71,7 +71,6 @@ class JournalHandler(logging.Handler):
 
 
 def _priority_of(level: int) -> int:
-    """Return the syslog priority of a logging level."""
     return next((priority for least, priority in _PRIORITIES if level >= least), 7)
 
 

@@ -15,13 +15,7 @@ _IP_MTU = 14  # linux/in.h
 
 
 def read_mtu(interface: str) -> int:
-    """Return the MTU of an interface (bytes).
-
-    Raises
-    ------
-    NotKnownError
-        If there is no such interface.
-    """
+    """Return the MTU of an interface (bytes), or raise NotKnownError."""
     if (found := read_number(SYS_NET / interface / "mtu")) is None:
         raise NotKnownError(f"there is no interface {interface}")
     return found

@@ -107,7 +107,6 @@ def root_queue_in(body: bytes, index: int) -> tuple[int, int] | None:
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:
-    """Return the values of attributes by type."""
     found, offset = {}, 0
     while offset + _ATTRIBUTE.size <= len(data):
         length, kind = _ATTRIBUTE.unpack_from(data, offset)

@@ -22,12 +22,7 @@ _STALE_S = 5.0  # a part that has finished no round for so long hangs, and the w
 
 
 class Notifier:
-    """Reports the state of the service to systemd; does nothing outside systemd and never raises.
-
-    Parameters
-    ----------
-    environ : environment with NOTIFY_SOCKET
-    """
+    """Reports the state of the service to systemd; does nothing without NOTIFY_SOCKET, and never raises."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         address = environ.get("NOTIFY_SOCKET", "")

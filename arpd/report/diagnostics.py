@@ -43,12 +43,7 @@ class Status(NamedTuple):
 
 
 def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
-    """Return all statuses; they are stale while no tick finishes, and before the first.
-
-    Parameters
-    ----------
-    now_s : monotonic clock (s)
-    """
+    """Return all statuses; they are stale while no tick finishes, and before the first."""
     if snapshot is None:
         return tuple(Status(f"arpd: {part}", Level.STALE, "starting", {}) for part in _PARTS)
     situation = judge(snapshot, now_s=now_s)

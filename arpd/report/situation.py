@@ -263,7 +263,6 @@ def _is_draining(snapshot: Snapshot) -> bool:
 
 
 def _budget(snapshot: Snapshot) -> str:
-    """Say what the topics may use now."""
     budget, capacity = snapshot.allocation.budget_bytes_per_second, snapshot.link.capacity_bytes_per_second
     if budget < _LEAST_BUDGET * capacity:
         return f"topics may use next to nothing of {format_rate(capacity)}"

@@ -40,12 +40,7 @@ _REFUSALS = {
 
 
 class HttpCounts:
-    """Counts of the HTTP server itself; no client can add values to a label.
-
-    Parameters
-    ----------
-    registry : exposes them
-    """
+    """Counts of the HTTP server itself; no client can add values to a label."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
         disable_created_metrics()  # type: ignore[no-untyped-call]

@@ -189,12 +189,7 @@ class History:
 
 
 def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
-    """Yield the whole snapshot as a JSON document, the topics last and one by one, because each takes a while.
-
-    Parameters
-    ----------
-    now_s : monotonic clock (s)
-    """
+    """Yield the whole snapshot as a JSON document, the topics last and one by one, because each takes a while."""
     rows = topic_rows(snapshot)
     judged = judge(snapshot, rows=rows, now_s=now_s)
     observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
@@ -257,13 +252,7 @@ def _finding(found: conditions.Finding) -> Finding:
 
 
 def history_json(samples: Sequence[Sample], logged: Sequence[Event]) -> bytes:
-    """Return the history as a JSON document.
-
-    Parameters
-    ----------
-    samples : oldest first
-    logged : events of the decision log, oldest first
-    """
+    """Return the history as a JSON document, of samples and events of the decision log, each the oldest first."""
     newest = samples[-1] if samples else None
     columns = list(zip(*(sample.link for sample in samples), strict=True)) or [()] * len(LINK_SERIES)
     history = History(

@@ -31,15 +31,7 @@ class Documents:
 
     Python runs one thread at a time, so making a large document slows the tick down. Documents are made one after the
     other, and those who ask meanwhile share the one that is being made. Its pieces take milliseconds and wait while a
-    tick runs: for a second in all, because metrics matter most when ticks hang.
-
-    Parameters
-    ----------
-    snapshot : returns the last snapshot, None before the first tick finished
-    history : the last ten minutes
-    registry : metrics to expose
-    resting : set while no tick runs
-    clock : monotonic clock of the snapshots (s)
+    tick runs: for a second in all, because metrics matter most when ticks hang. They are of what `HttpServer` is given.
     """
 
     def __init__(

@@ -39,13 +39,7 @@ _METRICS = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Site(Application):
-    """The paths of the daemon.
-
-    Parameters
-    ----------
-    documents : metrics, status and history
-    access : who may ask
-    """
+    """The paths of the daemon."""
 
     def __init__(self, *, documents: Documents, access: Access) -> None:
         self.documents = documents

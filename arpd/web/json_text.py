@@ -32,12 +32,7 @@ _MAY_BE_INFINITE = {"age_s", "max_rate_hz", "paced_rate_hz", "queue_delay_s", "r
 
 
 def plain(value: Any, name: str = "") -> Any:
-    """Return a value without dataclasses; times in milliseconds, other numbers in five digits.
-
-    Parameters
-    ----------
-    name : key of the value
-    """
+    """Return the value of a key without dataclasses; times in milliseconds, other numbers in five digits."""
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):

@@ -45,13 +45,7 @@ _NO_FAILURES = {SwapResult.OK, SwapResult.SUPERSEDED, SwapResult.REORDER_POSSIBL
 
 
 class SnapshotCollector(Collector):
-    """Makes metric families from the snapshot that is current when Prometheus asks.
-
-    Parameters
-    ----------
-    snapshot : returns the last snapshot, None before the first tick finished
-    clock : monotonic clock of the snapshot's time (s)
-    """
+    """Makes metric families from the snapshot that is current when Prometheus asks; none before the first tick."""
 
     def __init__(self, snapshot: Callable[[], Snapshot | None], *, clock: Callable[[], float] = time.monotonic) -> None:
         self._snapshot = snapshot

@@ -119,7 +119,6 @@ class Passwords:
 
 
 def _parse_basic(header: bytes) -> tuple[bytes, bytes] | None:
-    """Return name and password of an Authorization header, None if there are none."""
     scheme, _, rest = header.partition(b" ")
     if scheme.lower() != b"basic":
         return None

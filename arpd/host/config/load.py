@@ -69,7 +69,6 @@ def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
 
 
 def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
-    """Return the fault behind an error of pydantic."""
     location: Location = details["loc"]
     match details["type"]:
         case "unexpected_keyword_argument":

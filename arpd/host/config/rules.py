@@ -24,8 +24,6 @@ def broken_rules(
 
     Parameters
     ----------
-    settings : of the file
-    source : the file
     interfaces : names of this host's interfaces, None = unknown
     local_domain : ROS domain of this host's own nodes, None = unknown
     """
