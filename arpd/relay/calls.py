@@ -154,10 +154,7 @@ class CallBook:
     def receive(self, sender: int, data: bytes) -> None:
         """Take a record of the other end; before `follow` knew its session it is ignored, and repeated later.
 
-        Raises
-        ------
-        ValueError
-            If the bytes are none.
+        Raises ValueError if the bytes are none.
         """
         record = Record.decode(data)
         if sender != self._other or record.to != self._session:

@@ -67,13 +67,7 @@ def pack(records: Iterable[Record]) -> bytes:
 
 
 def unpack(message: bytes) -> list[Record]:
-    """Return the records of a message, or of several in a row.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are none that `pack` returns.
-    """
+    """Return the records of a message, or of several in a row; raises ValueError if `pack` returns no such bytes."""
     records, at = [], 0
     while at < len(message):
         if at + _RECORD.size > len(message):
@@ -98,13 +92,7 @@ def encode_chunk(chunk: Chunk) -> bytes:
 
 
 def decode_chunk(sample: bytes) -> Chunk:
-    """Return the chunk in a serialized UInt8MultiArray.
-
-    Raises
-    ------
-    ValueError
-        If it holds none.
-    """
+    """Return the chunk in a serialized UInt8MultiArray; raises ValueError if it holds none."""
     try:
         cdr, dimensions, offset, size = _MESSAGE.unpack_from(sample)
         session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(sample, _MESSAGE.size)

@@ -73,13 +73,7 @@ def encode_sign(sign: Sign) -> bytes:
 
 
 def decode_sign(data: bytes) -> Sign:
-    """Return the sign from its bytes.
-
-    Raises
-    ------
-    ValueError
-        If they are none of this version.
-    """
+    """Return the sign from its bytes; raises ValueError if they are none of this version."""
     if len(data) != SIGN_BYTES or data[0] != _VERSION:
         raise ValueError("no sign of life of this version; install one arpd on both ends")
     _, session, number, departed_us, *receipt = _SIGN.unpack(data)

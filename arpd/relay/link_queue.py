@@ -113,16 +113,11 @@ class LinkQueue(PacedQueue):
         return True
 
     def arrived(self, sample: bytes, now_s: float, *, is_together: bool = False) -> tuple[Chunk, float]:
-        """Account for a chunk of the other end; return it, and its age (s).
+        """Account for a chunk of the other end; return it, and its age (s). Raises ValueError if the sample holds none.
 
         Parameters
         ----------
         is_together : whether it holds small messages, whose writer asks seldom for an acknowledgement
-
-        Raises
-        ------
-        ValueError
-            If the sample holds no chunk.
         """
         chunk, size = decode_chunk(sample), len(sample)
         self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset or is_together else 0.0)[0]
@@ -131,13 +126,7 @@ class LinkQueue(PacedQueue):
         return chunk, self._received.note(chunk.session, chunk.number, chunk.departed_us, size, now_s)
 
     def hear(self, data: bytes, now_s: float) -> int:
-        """Take a sign of life of the other end; return its session.
-
-        Raises
-        ------
-        ValueError
-            If the bytes are none.
-        """
+        """Take a sign of life of the other end; return its session. Raises ValueError if the bytes are none."""
         sign = decode_sign(data)
         is_of_partner = self._is_of_partner(sign.session, now_s)
         if sign.receipt.session == self._session:

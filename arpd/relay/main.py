@@ -123,13 +123,7 @@ def return_large_blocks() -> None:
 
 
 def check_middleware(rmw: Rmw) -> None:
-    """Refuse a middleware that no profile keeps from hearing itself.
-
-    Raises
-    ------
-    RosUnavailableError
-        If it is not Fast DDS.
-    """
+    """Raise RosUnavailableError where no profile keeps the middleware from hearing itself: it is not Fast DDS."""
     if not rmw.is_fast_dds:
         raise RosUnavailableError(
             f"two ends need rmw_fastrtps_cpp; this process has {rmw.name}; set RMW_IMPLEMENTATION=rmw_fastrtps_cpp for "
@@ -138,12 +132,9 @@ def check_middleware(rmw: Rmw) -> None:
 
 
 def check_deaf_to_itself(node: Node) -> None:
-    """Refuse a Fast DDS profile of the user's own in which an end would hear its own samples, and send them back.
+    """Raise RosUnavailableError where endpoints of one participant match each other.
 
-    Raises
-    ------
-    RosUnavailableError
-        If endpoints of one participant match each other.
+    With such a Fast DDS profile of the user's own an end would hear its own samples, and send them back.
     """
     topic = f"~/check_{secrets.token_hex(4)}"  # ends of several robots on one host have one name, and start at once
     publisher = node.create_publisher(UInt8MultiArray, topic, 1)

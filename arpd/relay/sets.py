@@ -34,10 +34,7 @@ class Sets:
     def add(self, member: int, record: Record) -> list[Record]:
         """Take a sample; return its set, in the order of the group, once that is complete, and nothing before.
 
-        Raises
-        ------
-        ValueError
-            If the sample has no header stamp.
+        Raises ValueError if the sample has no header stamp.
         """
         if member not in self.members:
             return []

@@ -130,10 +130,7 @@ def encode_state(state: EndState) -> bytes:
 def decode_state(data: bytes, *, namespace: str = "") -> EndState:
     """Return the state from its bytes, for an end with this `relay.namespace`.
 
-    Raises
-    ------
-    ValueError
-        If the other end speaks another version or has another namespace, or the bytes are no state.
+    Raises ValueError if the other end speaks another version or has another namespace, or the bytes are no state.
     """
     try:
         document = unpack(data, most_bytes=_MOST_BYTES)

@@ -35,10 +35,7 @@ class UnknownTypeError(Exception):
 def message_class(type_name: str) -> Any:
     """Import a message class: ``sensor_msgs/msg/LaserScan`` or ``nav2_msgs/action/Spin_FeedbackMessage``.
 
-    Raises
-    ------
-    UnknownTypeError
-        If its package is not installed, has no such message, or lacks its libraries.
+    Raises UnknownTypeError if its package is not installed, has no such message, or lacks its libraries.
     """
     return _import(type_name, folder="msg", of_actions=_ACTION_MESSAGES)
 
