@@ -6,7 +6,7 @@ import gc
 import logging
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack
 from functools import cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -23,11 +23,10 @@ from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from concurrent.futures import Future
     from pathlib import Path
 
-    from arpd.model.settings import LinkDomain, Settings
+    from arpd.model.settings import Settings
     from arpd.sim.oracle import Oracle
 
 log = logging.getLogger(__name__)
@@ -111,13 +110,17 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         return load_settings(config_path, interfaces=None, local_domain=local_domain())
 
     settings = load()  # before ROS is imported, so that a fault in the file shows at once
-    from arpd.ros.runtime import DAEMON_PROFILE, control_node, prepare_environment  # noqa: PLC0415 - as above
+    from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     addresses = Addresses(lambda: daemon.interface)
     link_domain = settings.relay.link(is_far=False)
     if link_domain is not None:
-        prepare_environment(DAEMON_PROFILE)
-    with control_node("arpd", link_domain) as node, _own_domain(node, link_domain) as own_node:
+        runtime.prepare_environment(runtime.DAEMON_PROFILE)
+    with ExitStack() as stack:
+        node = own_node = stack.enter_context(runtime.control_node("arpd", link_domain))
+        if link_domain is not None:
+            runtime.prepare_for_this_host()
+            own_node = stack.enter_context(runtime.ros_node("arpd"))  # in the robot's own domain, for its diagnostics
         from arpd.ros.diagnostics import Diagnostics  # noqa: PLC0415
         from arpd.ros.world import RosControl  # noqa: PLC0415
         from arpd.web.server import HttpServer  # noqa: PLC0415
@@ -168,19 +171,6 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             notifier.stopping()
             stop(daemon)
     return 0
-
-
-@contextmanager
-def _own_domain(node: Any, link_domain: LinkDomain | None) -> Iterator[Any]:
-    """Yield the daemon's node in the robot's own domain, for its diagnostics: another one beside a link domain."""
-    if link_domain is None:
-        yield node
-        return
-    from arpd.ros.runtime import prepare_for_this_host, ros_node  # noqa: PLC0415 - after the configuration
-
-    prepare_for_this_host()
-    with ros_node("arpd") as own_node:
-        yield own_node
 
 
 def stop(daemon: Daemon) -> None:

@@ -253,7 +253,6 @@ class Daemon:
             config_path=configuration.path,
             config_error=configuration.error,
             confirmed=self._planned.progress.confirmed,
-            lease_s=self.settings.lease_s,
             config_loaded_at_s=configuration.loaded_at_s,
             keys_awaiting_restart=configuration.awaiting_restart,
             events=self.record.events,

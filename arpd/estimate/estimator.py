@@ -204,7 +204,7 @@ class Estimator:
         """Forget a queue that no peer measures now; its last length must not hold the budget."""
         self._peers.forget()
         self._queue_delay_s = self._alarm_s = self._local.backlog_s
-        self._queues.clear()
+        self._queues = QueuePast()
 
     def _resume(self, now_s: float, silent_s: float) -> None:
         # What the outage held up is a queue still, and the pings in it show how long it is, against delays of before.

@@ -161,10 +161,6 @@ class QueuePast:
         while len(self._queues) > 1 and now_s - self._queues[1][0] >= BUSY_AFTER_S:
             self._queues.popleft()
 
-    def clear(self) -> None:
-        """Forget all."""
-        self._queues.clear()
-
     def stays_s(self, span_s: float) -> float:
         """Return the shortest queue of a span: bursts come and go, and a queue that stays means a busy link (s)."""
         if not self._queues or self._queues[-1][0] - self._queues[0][0] < _KNOWN * span_s:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from arpd.model.plan import NANOSECONDS_PER_SECOND, TopicPlan, is_kept
+from arpd.model.plan import TopicPlan, is_kept
 from arpd.model.wire import FRAGMENT_BYTES
-from arpd.solve.eq4 import alike
+from arpd.solve.eq4 import LONGEST_PERIOD_NS, alike
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
-# DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t).
-_LONGEST_DEADLINE_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
 # 1.5 s and its halves: the periods of usual rates (1, 2, 5, 10, 20, 30 Hz) with the default slack lie well inside the
 # classes, so the noise of a measured rate does not cross a border.
 _SHORTEST_NS = 5_859_375
@@ -56,7 +54,7 @@ class _Fit:
         self._topic, self._request_ns, self._is_exact = topic, request_ns, is_exact
         self._period_ns, self._given = row.deadline_ns, row.depth_applied
         offered_ns = max(math.ceil(self._period_ns * slack), self._period_ns + _LEAST_SLACK_NS)
-        self._offered_ns = min(offered_ns, _LONGEST_DEADLINE_NS) if self._period_ns else 0
+        self._offered_ns = min(offered_ns, LONGEST_PERIOD_NS) if self._period_ns else 0
         self.depth, self.deadline_ns = self._depth(self._given), self._deadline_ns(self._offered_ns)
 
     def move(self, kept: TopicPlan) -> Move:
@@ -77,7 +75,7 @@ class _Fit:
         """Return the shortest class of 5859375·2ᵏ ns that is at least as long, but no more than readers request."""
         if offered_ns > 0 and not self._is_exact:
             longer_ns = _SHORTEST_NS << ((offered_ns - 1) // _SHORTEST_NS).bit_length()
-            offered_ns = min(_LONGEST_DEADLINE_NS, longer_ns)
+            offered_ns = min(LONGEST_PERIOD_NS, longer_ns)
         return self._request_ns if _is_longer(offered_ns, self._request_ns) else offered_ns
 
     def _depth(self, depth: int) -> int:

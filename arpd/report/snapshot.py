@@ -65,7 +65,6 @@ class Snapshot:
     keys_awaiting_restart : keys whose value in the file last read takes effect after a restart
     confirmed : number of managed publishers whose announcement matches the plan
     found : conditions that held, and since when, as of the last tick that planned
-    lease_s : silence of the daemon after which nodes return to their own QoS, 0 = never (s)
     events : the last of the decision log, oldest first
     """
 
@@ -87,7 +86,6 @@ class Snapshot:
     has_interface: bool = True
     confirmed: int = 0
     found: tuple[Finding, ...] = ()
-    lease_s: float = 0.0
     events: tuple[Event, ...] = ()
 
     @property

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from arpd.solve.link import Find, Rows
 
 # DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t); a slower topic counts as paused.
-_LONGEST_PERIOD_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
+LONGEST_PERIOD_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
 _NOISE = 1e-12  # of a float
 # Terms of every row of a uniform plan. Equal terms give every publisher the same rate. They never change, so the price
 # alone moves the rate, also when a topic comes or a message grows, and no plan is needed for that.
@@ -155,7 +155,7 @@ def period_ns(rate_hz: float) -> int:
     Rounding the period up can only lower the rate, and every constraint on the link, Eq. (2) as well as (G1), loosens
     as R falls, so a feasible rate stays feasible. A period above the longest DDS duration is a pause, too.
     """
-    if rate_hz <= NANOSECONDS_PER_SECOND / (_LONGEST_PERIOD_NS + 1):
+    if rate_hz <= NANOSECONDS_PER_SECOND / (LONGEST_PERIOD_NS + 1):
         return 0
     return math.ceil(NANOSECONDS_PER_SECOND / rate_hz * (1.0 - _NOISE))
 

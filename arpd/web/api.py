@@ -232,7 +232,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
             paced_only=snapshot.paced_only,
         ),
         allocation=snapshot.allocation,
-        lease_s=snapshot.lease_s,
+        lease_s=snapshot.settings.lease_s,
         totals=snapshot.totals,
         events=snapshot.events[-_MOST_EVENTS:],
         config_path=snapshot.config_path,

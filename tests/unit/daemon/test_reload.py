@@ -139,7 +139,7 @@ def course(settings, *, reload=None):
                 seen.observation.sensing_topics,
                 seen.observation.actuation_topics,
                 seen.allocation.backend,
-                seen.lease_s,
+                world.lease_s,
             )
         )
         now_s += DT_S

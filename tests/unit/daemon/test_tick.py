@@ -52,14 +52,6 @@ def restored(world):
     return daemon.restore(wait=world.wait)
 
 
-def test_a_clean_stop_restores_the_application_s_qos():
-    """A publisher returns to its application's QoS, by a plan that is not older than its own."""
-    world = Robot()
-    assert restored(world) == 0
-    assert (world.writer.depth, world.writer.deadline_ns) == (10, 90 * MS)
-    assert world.writer.generation >= 7
-
-
 def test_a_clean_stop_restores_by_a_generation_that_nodes_take():
     """A node that announces the highest generation keeps nobody from restoring: nodes refuse a higher one."""
     world = Robot()
@@ -72,11 +64,13 @@ def test_a_clean_stop_restores_by_a_generation_that_nodes_take():
     assert (world.writer.depth, world.writer.generation) == (10, MOST_GENERATION)
 
 
-def test_a_clean_stop_gives_the_rates_back_last():
+def test_a_clean_stop_restores_the_application_s_qos_and_its_rates_last():
     """QoS comes first, at the paced rate, because a weak link could not prove a new writer at the full rate."""
     world = Robot()
     world.change(rate_hz=8.0, paced_rate_hz=5.0)
     assert restored(world) == 0
+    assert (world.writer.depth, world.writer.deadline_ns, world.writer.rate_hz) == (10, 90 * MS, math.inf)
+    assert world.writer.generation >= 7  # its own before
     rows = [topics[TOPIC] for node, topics in world.sent if node == "/w"]
     assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
     assert (rows[-2].depth, rows[-2].deadline_ns) == (rows[-1].depth, rows[-1].deadline_ns) == (10, 90 * MS)

@@ -22,7 +22,7 @@ class World:
         self.publishers = {each.topic: each for each in publishers}
         self.takes_s, self.deaf = takes_s, deaf
         self.sees = {"memory": MemoryState(total_bytes=2**33, available_bytes=2**32), **sees}
-        self.prices, self.probes = [], []
+        self.prices, self.probes, self.lease_s = [], [], None
         self.sent = []  # nodes and rows
         self._due = []  # time, plan, lease of what was sent and not taken
 
@@ -34,6 +34,7 @@ class World:
         return observation(now_s, counters=INTERFACE, publishers=publishers, **self.sees)
 
     def apply(self, plan, *, lease_s, missing, now_s):
+        self.lease_s = lease_s
         for node in missing:
             if (node, plan.topics) not in self.sent:
                 self.sent.append((node, plan.topics))

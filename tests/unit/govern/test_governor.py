@@ -120,14 +120,6 @@ def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
     assert changes(run.ticks(3.0)) == ["topics"]
 
 
-def test_topics_settle_while_the_capacity_is_not_known():
-    """Topics that have been the same for the debounce get their first plan with the first look at a known capacity."""
-    run, late = Run(), Run()
-    for each, known in ((run, TOPICS), (late, TOPICS[:2])):
-        each.governor.expect(each.now_s - GOVERNOR.debounce_s, known)
-    assert (run.tick().reason, late.tick().reason) == ("start", "")
-
-
 @pytest.mark.parametrize("change", [{"desired_rate_hz": 80.0}, {"desired_rate_hz": 20.0}, {"wire_bytes": 60_000.0}])
 def test_demand_does_not_wait_for_the_dwell(change):
     """A source whose rate or size changes by more than a quarter gets a plan after the hold, however new the last."""

@@ -1,6 +1,5 @@
-"""The link in virtual time: rate, overhead, loss, hidden queue, and conservation of packets."""
+"""The link in virtual time: on any link packets are conserved, and queues bounded."""
 
-from itertools import pairwise
 from random import Random
 
 import pytest
@@ -8,19 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.sim.link import FRAME_BYTES, LinkModel, SimulatedLink
-from arpd.sim.schedule import LossStep, RateSchedule, RateStep, Service, outages
+from arpd.sim.schedule import LossStep, RateSchedule, RateStep, outages
 from arpd.sim.timeline import Timeline
 from tests.examples import examples
 
 
 def schedule_of(*steps):
     return RateSchedule(steps=tuple(RateStep(start_s=s, rate_bytes_per_second=r) for s, r in steps))
-
-
-def carried(schedule, from_s, until_s):
-    """Return the bytes that the schedule allows between two moments of run time, by plain summation."""
-    edges = sorted({from_s, until_s, *(s.start_s for s in schedule.steps if from_s < s.start_s < until_s)})
-    return sum((end - start) * schedule.rate_at(max(0.0, start)) for start, end in pairwise(edges))
 
 
 def link_of(schedule, model, seed=1):
@@ -61,9 +54,6 @@ models = st.builds(
 sends = st.lists(st.tuples(st.floats(0.0, 0.05), st.integers(60, FRAME_BYTES), st.integers(1, 20)), max_size=40)
 
 
-# -- on any link
-
-
 @examples(150)
 @given(schedules, models, sends, st.integers(0, 5))
 def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, seed):
@@ -84,36 +74,3 @@ def test_packets_are_conserved_and_queues_are_bounded(schedule, model, offered, 
     assert link.lost_packets or link.received_bytes() == pytest.approx(link.sent_bytes, abs=1e-3)
     assert link.backlog_bytes == pytest.approx(0.0, abs=1e-3)
     assert link.queue_delay_s == pytest.approx(0.0, abs=1e-6)
-
-
-# -- rate
-
-
-@examples(60)
-@given(schedules, st.lists(st.floats(0.0, 6.0), min_size=1, max_size=20))
-def test_service_is_the_integral_of_the_rate_and_its_inverse(schedule, moments):
-    """`by` is the integral of the rate and `when` its first inverse, in any order of questions."""
-    service = Service(schedule)
-    for t_s in moments:
-        size = service.by(t_s)
-        assert size == pytest.approx(carried(schedule, 0.0, t_s), abs=1e-3)
-        first_s = service.when(size + 1.0)
-        assert carried(schedule, t_s, first_s) == pytest.approx(1.0, abs=1e-2)
-
-
-# -- overhead, aggregates, firmware
-
-
-@pytest.mark.parametrize("model", [{}, {"packet_overhead_s": 0.01, "aggregate_packets": 4}])
-def test_firmware_hides_what_it_holds(model):
-    """The host counts bytes in the firmware as sent and sees no backlog, but packets wait for them."""
-    link, _ = link_of(schedule_of((0.0, 1000.0)), LinkModel(firmware_bytes=5000, queue_bytes=3000, **model))
-    for _ in range(5):
-        link.send(1000, 1, nothing)
-    assert (link.backlog_bytes, link.sent_bytes) == (0.0, 5000.0)
-    assert link.queue_delay_s >= 5.0
-    link.send(1000, 1, nothing)
-    assert (link.backlog_bytes, link.sent_bytes) == (1000.0, 5000.0)
-    for _ in range(9):
-        link.send(1000, 1, nothing)
-    assert (link.dropped_packets, link.backlog_bytes) == (6, 4000.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from arpd.sim.schedule import RateSchedule, RateStep, Service
+from arpd.sim.schedule import RateSchedule
 
 
 def test_parses_the_documented_example():
@@ -31,10 +31,3 @@ def test_a_bad_schedule_is_refused_with_the_way_out(text, words):
     """The message names the step at fault."""
     with pytest.raises(ValueError, match=words):
         RateSchedule.parse(text)
-
-
-def test_the_last_byte_of_each_period_is_carried_when_it_is_in_the_first():
-    """A trace that ends in a pause holds no byte back until the pause is over."""
-    schedule = RateSchedule(steps=(RateStep(0.0, 1000.0), RateStep(1.0, 0.0)), period_s=2.0)
-    service = Service(schedule)
-    assert [service.when(size) for size in (1000.0, 1500.0, 2000.0, 3000.0)] == [1.0, 2.5, 3.0, 5.0]
