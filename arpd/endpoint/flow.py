@@ -150,11 +150,16 @@ class Flow(Generic[W]):
                 last_swap=self._swap.last,
             )
 
+    def rest(self) -> list[bytes]:
+        """Take the samples that a swap holds, the oldest first."""
+        rest = list(self._held)
+        self._held.clear()
+        return rest
+
     def close(self) -> None:
         """Withhold the samples that a swap holds, and destroy every writer."""
         with self._lock:
-            self._withheld[WithheldCause.CLOSED.value] += len(self._held)
-            self._held.clear()
+            self._withheld[WithheldCause.CLOSED.value] += len(self.rest())
             self._swap.close()
 
     def _write(self, sample: bytes) -> None:

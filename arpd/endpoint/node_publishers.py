@@ -63,6 +63,9 @@ class Paced(Protocol):
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is there."""
 
+    def finish(self) -> None:
+        """Write what waits."""
+
     def state(self) -> PublisherState:
         """Return the state to tell the daemon, without the plan's generation and lease."""
 
@@ -116,6 +119,7 @@ class NodePublishers:
             Inbox(node, _PLANS, PLAN_QOS, lambda _sample, plan: self.take_plan(plan), clock=clock, warn=warn),
         )
         self.thread.wake(self)
+        node.context.on_shutdown(self._finish)
 
     @classmethod
     def of(cls, node: Node) -> NodePublishers:
@@ -157,6 +161,12 @@ class NodePublishers:
             self._expire_plan()
         self._tell()
         return self._tell_s
+
+    def _finish(self) -> None:
+        """Write what waits, when the context is shut down and the thread has stopped."""
+        for publisher in self._publishers.values() if self.thread.has_stopped else ():
+            with suppress(RuntimeError):  # RCLError is one
+                publisher.finish()
 
     def _end(self) -> None:
         """Tell that no publisher is left, and read no more: a reader would keep the node, and the participant."""

@@ -73,7 +73,8 @@ class AdaptivePublisher:
     ``publisher_class`` of `Node.create_publisher` is not supported: a swap would lose the state of such an object, for
     example whether a lifecycle publisher is active. So in a lifecycle node it publishes in every state.
 
-    `retune`, `set_price`, `service` and `state` are for arpd's own threads: the next plan undoes what others do there.
+    `retune`, `set_price`, `service`, `state` and `finish` are for arpd's own threads: the next plan undoes what others
+    do there.
 
     Raises
     ------
@@ -189,11 +190,23 @@ class AdaptivePublisher:
             time.sleep(_POLL_S)
         return is_done
 
+    def finish(self) -> None:
+        """Write what waits: at its end a plain publisher has written all, for example a robot's command to stop."""
+        rest = self._thread.rest_of(self._flow.lane)
+        try:
+            for sample in [*self._flow.rest(), *rest]:
+                self._flow.writer.publish_late(sample)
+        finally:
+            self._thread.release(self._flow.lane)
+
     def destroy(self) -> None:
-        """Destroy the publisher and all its writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""
+        """Write what waits, and destroy all writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""
         with suppress(ValueError):  # its node has done that
             self._node._publishers.remove(self)  # noqa: SLF001 - as above
         self._shared.release(self)
+        self._flow.lane.is_closing = True  # a thread that publishes again and again would take it each time before us
+        with suppress(RuntimeError):  # RCLError is one: another thread has destroyed the writer
+            self.finish()
         self._thread.remove(self._flow.lane)
         self._flow.close()
 

@@ -147,6 +147,14 @@ class PacedQueue:
             return None
         return self._begin(lane, now_s, is_first=is_first)
 
+    def rest_of(self, lane: Lane, now_s: float) -> list[bytes]:
+        """Take all that waits of a lane, whoever's turn it is."""
+        rest = []
+        while lane in self._active:
+            if (sample := self._begin(lane, now_s, is_first=False)) is not None:
+                rest.append(sample)
+        return rest
+
     def due_s(self, now_s: float) -> float:
         """Return when `take` may have something, ``inf`` = not before something changes (s)."""
         if not self._active or not self._is_open(now_s):

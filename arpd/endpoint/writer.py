@@ -66,6 +66,10 @@ class RosWriter:
         """Write one serialized sample."""
         self._outlet.publish(sample)  # rclpy would hold the interpreter while the link is full
 
+    def publish_late(self, sample: bytes) -> None:
+        """Write one serialized sample, also after the context has been shut down."""
+        self._outlet.publish_late(sample)
+
     def matched(self) -> int:
         """Count the matched readers."""
         return int(self.publisher.get_subscription_count())

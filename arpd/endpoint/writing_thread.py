@@ -105,6 +105,18 @@ class WritingThread:
             self._wait_for(lane)
             self._decide(partial(self._queue.remove, lane))
 
+    def rest_of(self, lane: Lane) -> list[bytes]:
+        """Take all that waits of a lane, which is claimed from then on, after a write to it has ended."""
+        with self._lock:
+            self._wait_for(lane)
+            lane.claimant = threading.get_ident()
+            return self._decide(partial(self._queue.rest_of, lane, self._clock())) or []
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether `stop` has ended the thread; in a forked process there is none."""
+        return self._is_stopping and not self._thread.is_alive()
+
     @property
     def topics(self) -> int:
         """Count the lanes."""

@@ -79,13 +79,14 @@ class Rcl:
 
         self.take = function(rcl, "rcl_take_serialized_message", takes=4)
         self.publish = function(rcl, "rcl_publish_serialized_message", takes=3)
+        self.publish_late = function(rcl, "rmw_publish_serialized_message", takes=3)
         self.notify_reader = function(rcl, "rcl_subscription_set_on_new_message_callback", takes=3)
         self.notify_server = function(rcl, "rcl_service_set_on_new_request_callback", takes=3)
         self.notify_client = function(rcl, "rcl_client_set_on_new_response_callback", takes=3)
         self.eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._graph_guard = function(rcl, "rcl_node_get_graph_guard_condition", takes=1, returns=ctypes.c_void_p)
         self._add_guard = function(rcl, "rcl_wait_set_add_guard_condition", takes=3)
-        self._rmw_publisher = function(rcl, "rcl_publisher_get_rmw_handle", takes=1, returns=ctypes.c_void_p)
+        self.rmw_publisher = function(rcl, "rcl_publisher_get_rmw_handle", takes=1, returns=ctypes.c_void_p)
         self._gid = function(rcl, "rmw_get_gid_for_publisher", takes=2)
         self.forget_error = function(rcutils, "rcutils_reset_error", returns=None)
         self._error = function(rcutils, "rcutils_get_error_string", returns=_ErrorString)
@@ -107,7 +108,7 @@ class Rcl:
         """Return the GUID of a publisher."""
         gid = _Gid()
         with handle:
-            if self._gid(self._rmw_publisher(handle.pointer), ctypes.byref(gid)) != 0:
+            if self._gid(self.rmw_publisher(handle.pointer), ctypes.byref(gid)) != 0:
                 raise RuntimeError(f"a publisher without a GUID: {self.error()}")
         return bytes(gid.data)
 
@@ -133,14 +134,22 @@ class Outlet:
 
     def publish(self, sample: bytes) -> None:
         """Publish a sample; blocks while the link's queue is full, and raises rclpy's RCLError if rcl refuses it."""
+        with self._handle:
+            self._publish(self._rcl.publish, self._pointer, sample)
+
+    def publish_late(self, sample: bytes) -> None:
+        """Publish a sample as `publish` does; rcl would refuse it once its context has been shut down."""
+        with self._handle:
+            self._publish(self._rcl.publish_late, self._rcl.rmw_publisher(self._pointer), sample)
+
+    def _publish(self, function: Any, pointer: int, sample: bytes) -> None:
         message = self._message
         message.buffer = sample
         message.length = message.capacity = len(sample)
-        with self._handle:
-            fault = self._rcl.publish(self._pointer, self._reference, None)
-            message.buffer = None  # a sample may be large
-            if fault:
-                raise rclpy_implementation.RCLError(f"Failed to publish: {self._rcl.error()}")
+        fault = function(pointer, self._reference, None)
+        message.buffer = None  # a sample may be large
+        if fault:
+            raise rclpy_implementation.RCLError(f"Failed to publish: {self._rcl.error()}")
 
 
 @cache

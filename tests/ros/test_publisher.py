@@ -24,6 +24,7 @@ from arpd.model.price import Price
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
 from arpd.ros.rcl import InvalidHandle
+from tests.ros.ends_world import listen
 from tests.ros.world import FREE, TERMS, Announced, Plans, costing, retune
 from tests.waiting import PATIENCE_S
 
@@ -235,6 +236,25 @@ def test_its_node_destroys_it_as_any_publisher(node, publisher):
     node.context.shutdown()
     with pytest.raises(rclpy_implementation.RCLError, match="Failed to publish: publisher's context is invalid"):
         other.publish(String())
+
+
+@pytest.mark.parametrize("end", ["destroyed", "shut down"])
+def test_the_last_sample_leaves_at_the_end(ros, eventually, end):
+    """What waits for its turn is written when its publisher or its context ends: it may tell a robot to stop."""
+    received = listen(ros.node("robot"), TOPIC)
+    node = ros.elsewhere().idle_node("operator")
+    publisher = AdaptivePublisher(node, String, TOPIC, 10)
+    retune(publisher, rate_hz=1e-3)
+    eventually("the reader has matched", publisher.get_subscription_count)
+    publisher.publish(String(data="begin"))
+    eventually("the first one arrives", lambda: received)
+    for word in ("go on", "go on", "stop"):
+        publisher.publish(String(data=word))
+    if end == "destroyed":
+        node.destroy_node()
+    else:
+        node.context.shutdown()
+    eventually("the last one arrives", lambda: received[-1] == "stop")
 
 
 def test_a_destroyed_node_leaves_nothing(ros):

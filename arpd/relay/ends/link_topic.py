@@ -139,6 +139,9 @@ class LinkTopic(Carried):
         if price != self._lane.price:
             self._thread.retune(self._lane, self.plan, price)
 
+    def finish(self) -> None:
+        """Leave what waits: the other end hears no more of this session."""
+
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
         flow = self._lane.state(time.monotonic()).counted()
