@@ -7,7 +7,7 @@ import runpy
 import sys
 import tomllib
 from pathlib import Path
-from types import SimpleNamespace
+from unittest.mock import Mock
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -44,37 +44,21 @@ def test_every_command_is_an_executable():
     assert set(ast.literal_eval(values["COMMANDS"])) == COMMANDS
 
 
-# ROS's modules of these names are not on PyPI, so another stands for them.
-MODULES = ("launch", "launch.actions", "launch.substitutions", "launch_ros", "launch_ros.actions")
-KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LaunchConfiguration", "Node")
-
-
-class Action:
-    """Keeps what a launch file gives."""
-
-    def __init__(self, *arguments, **options):
-        self.arguments = arguments
-        self.options = options
-
-
 @pytest.fixture
 def launch(monkeypatch):
     """Return the processes that a launch file starts, each as executable and arguments, with values for its own."""
-    module = SimpleNamespace(**{kind: type(kind, (Action,), {}) for kind in KINDS})
-    for name in MODULES:
-        monkeypatch.setitem(sys.modules, name, module)
 
     def launch(name, **values):
-        (entities,) = runpy.run_path(str(REPO / "launch" / name))["generate_launch_description"]().arguments
-        nodes = [entity for entity in entities if type(entity).__name__ == "Node"]
-        assert {entity.arguments[0] for entity in entities if entity not in nodes} == set(values)
-        assert {node.options["package"] for node in nodes} == {"arpd"}
-        return {
-            node.options["executable"]: [
-                values[part.arguments[0]] if isinstance(part, Action) else part for part in node.options["arguments"]
-            ]
-            for node in nodes
-        }
+        # ROS's modules of these names are not on PyPI.
+        ros = Mock(LaunchConfiguration=lambda name, **_: values.get(name))
+        for module in ("launch", "launch.actions", "launch.substitutions", "launch_ros", "launch_ros.actions"):
+            monkeypatch.setitem(sys.modules, module, ros)
+        runpy.run_path(str(REPO / "launch" / name))["generate_launch_description"]()
+        nodes = [made.kwargs for made in ros.Node.call_args_list]
+        assert {made.args[0] for made in ros.DeclareLaunchArgument.call_args_list} == set(values)
+        assert {node["package"] for node in nodes} == {"arpd"}
+        assert len(ros.LaunchDescription.call_args.args[0]) == len(values) + len(nodes)
+        return {node["executable"]: node["arguments"] for node in nodes}
 
     return launch
 

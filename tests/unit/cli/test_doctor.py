@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from unittest.mock import Mock
 
 import pytest
 
@@ -75,10 +76,7 @@ def test_what_is_well_is_only_counted(doctor):
 
 def test_an_ill_computer_shows_what_to_do(doctor, computer):
     """What is wrong stands first, each with its remedies, then what is not known; what is fine is only counted."""
-
-    def refuse(_name):
-        raise NotKnownError("nl80211 does not tell it")
-
+    refuse = Mock(side_effect=NotKnownError("nl80211 does not tell it"))
     looping = ServiceState(is_installed=True, is_enabled=True, active="activating", is_restarted=True)
     computer(here, service_states=lambda *_: {"arpd": looping})
     computer(checks.kernel, read_mtu=lambda _name: 1280)

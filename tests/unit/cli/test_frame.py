@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from arpd.model.errors import ArpdError
 from arpd.model.link import LinkState
 from arpd.model.plan import QosPlan
+from arpd.model.settings import OnLost, Settings
 from arpd.web.handlers import ASSETS
 from tests.examples import examples
 from tests.unit.drawn import printed
@@ -74,7 +75,7 @@ def leaves(document, path=()):
             yield from leaves(value, (*path, key))
 
 
-RICH = document(lease_s=3.0)
+RICH = document(settings=Settings(on_lost=OnLost.BASELINE))
 RICH["events"] = [event(1, "text")]
 RICH["faults"] = [RICH["verdict"] | {"text": "Reload refused: so.", "severity": "error", "wrong": True}]
 LEAVES = list(leaves(RICH))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from types import ModuleType, SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -21,29 +21,19 @@ IMU = LinkTopic(name="/imu", types=("sensor_msgs/msg/Imu",), writers=("/driver",
 
 @pytest.fixture
 def robot(monkeypatch, tmp_path):
-    """Let the measurement find these topics; returns what it was asked."""
-    asked: dict[str, object] = {}
+    """Let the measurement find these topics; returns what makes it."""
 
     def robot(topics=(IMU,)):
-        def survey(_node, *, is_of_interest, prefix, on_progress):
-            def run(seconds):
-                on_progress(0.0, "begun")
-                asked.update(seconds=seconds, prefix=prefix, is_of_interest=is_of_interest)
-                found = tuple(topic for topic in topics if is_of_interest(topic.name))
-                return TopicList(topics=found, seconds=seconds, domain_id=7)
-
-            return SimpleNamespace(run=run)
-
-        module = ModuleType("arpd.ros.topic_measuring")
-        monkeypatch.setattr(module, "TopicSurvey", survey, raising=False)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+        survey = Mock()
+        survey.return_value.run = lambda seconds: TopicList(topics=tuple(topics), seconds=seconds, domain_id=7)
+        monkeypatch.setitem(sys.modules, "arpd.ros.topic_measuring", Mock(TopicSurvey=survey))
         monkeypatch.setattr(runtime, "ros_node", lambda _name: nullcontext())
         monkeypatch.setattr(kernel, "likeliest_interface", lambda: "wlan0")
         monkeypatch.setattr(host, "ipv4_addresses", lambda: {"wlan0": frozenset({"10.0.0.7"})})
         monkeypatch.setattr(options, "DEFAULT_CONFIG", tmp_path / "installed.yaml")
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
         monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")  # which the command may set for its process
-        return asked
+        return survey
 
     return robot
 
@@ -86,7 +76,7 @@ def test_the_link_domain_is_not_that_of_the_nodes(run, robot, monkeypatch):
 )
 def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_path, text, prefix):
     """The prefix is that of the installed file; a missing one does not stop a first look."""
-    asked = robot()
+    survey = robot()
     if text is not None:
         (tmp_path / "installed.yaml").write_text(text)
-    assert (run("topics")[0], asked["prefix"]) == (0, prefix)
+    assert (run("topics")[0], survey.call_args.kwargs["prefix"]) == (0, prefix)

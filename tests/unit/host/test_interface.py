@@ -2,6 +2,7 @@
 
 import socket
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -210,10 +211,7 @@ def test_what_is_down_has_no_address_that_dds_takes(monkeypatch):
 
 def test_a_kernel_that_does_not_answer_is_no_error(tmp_path, monkeypatch):
     """If no file can be opened, there is no interface, address or choice, and nothing raises."""
-
-    def refuse(*_arguments, **_options):
-        raise OSError(24, "Too many open files")
-
+    refuse = Mock(side_effect=OSError(24, "Too many open files"))
     for name in ("net_if_addrs", "net_if_stats", "virtual_memory"):
         monkeypatch.setattr(psutil, name, refuse)
     for name in ("socket", "if_nameindex", "if_nametoindex"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -81,11 +82,7 @@ def test_a_station_that_tells_no_rate_bounds_nothing(kernel, stations):
 @pytest.mark.usefixtures("sys_net")
 def test_no_fault_of_the_radio_leaves_its_module(monkeypatch, fault):
     """The error says why nothing is known."""
-
-    def refuse(_command, _index):
-        raise fault
-
-    monkeypatch.setattr(radio, "_ask", refuse)
+    monkeypatch.setattr(radio, "_ask", Mock(side_effect=fault))
     with pytest.raises(NotKnownError, match=type(fault).__name__):
         radio.power_save("wlan0")
 

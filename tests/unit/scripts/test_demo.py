@@ -3,6 +3,7 @@
 import shutil
 import socket
 import sys
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,12 +18,7 @@ from scripts.robot import demo
 )
 def test_the_bottleneck_of_the_demo_is_where_its_user_wants_it(monkeypatch, tmp_path, options, more, wanted):
     """It is at the sender unless the option says otherwise, with two runs and with one that goes on."""
-    asked = []
-
-    def world_of(*_, bottleneck, **__):
-        asked.append(bottleneck)
-        raise demo.DemoError("that is enough")
-
+    world_of = Mock(side_effect=demo.DemoError("that is enough"))
     monkeypatch.setattr(demo, "world_of", world_of)
     monkeypatch.setattr(demo, "_need_link", lambda: None)
     monkeypatch.setattr(demo, "_listen", lambda: socket.create_server(("127.0.0.1", 0)))
@@ -30,7 +26,7 @@ def test_the_bottleneck_of_the_demo_is_where_its_user_wants_it(monkeypatch, tmp_
     monkeypatch.setenv("ARPD_DEMO_LISTENER", "")
     monkeypatch.setattr(sys, "argv", ["scripts/demo", *options, *more])
     assert demo.main() == 1
-    assert asked == [wanted]
+    assert [asked.kwargs["bottleneck"] for asked in world_of.call_args_list] == [wanted]
 
 
 def test_another_bottleneck_is_refused_with_those_there_are(monkeypatch, capsys):

@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import threading
+from unittest.mock import Mock
 
 import pytest
 
@@ -10,24 +11,13 @@ from arpd.web.access import client_of
 from arpd.web.passwords import BURST, MAX_WAITING, Passwords, PasswordVerdict, bcrypt_matches
 from tests.unit.web_world import HASH, PASSWORD, Clock
 
-
-class Bcrypt:
-    """Counts runs; the hash of a password is its reverse."""
-
-    def __init__(self):
-        self.runs = []
-
-    def __call__(self, password, hashed):
-        self.runs.append((password, hashed))
-        return password == hashed[::-1]
-
-
 USERS = {b"alice": b"ecila", b"bob": b"bob"}
 
 
 @pytest.fixture
 def passwords():
-    return Passwords(clock=Clock(), secret=b"s" * 32, check=Bcrypt())
+    reverse = Mock(side_effect=lambda password, hashed: password == hashed[::-1])
+    return Passwords(clock=Clock(), secret=b"s" * 32, check=reverse)
 
 
 @pytest.fixture
@@ -44,7 +34,7 @@ def test_an_unknown_name_costs_what_a_known_one_does(passwords, judge):
     """An unknown name runs bcrypt once against a real hash, the same each time, and is never right."""
     for password in ("x", "ecila", "bob", "alice"):
         assert judge("mallory", password, "a", users={b"alice": b"ecila"}) is PasswordVerdict.WRONG
-    assert [hashed for _, hashed in passwords._check.runs] == [b"ecila"] * 4
+    assert [run.args[1] for run in passwords._check.call_args_list] == [b"ecila"] * 4
     assert passwords._good == {}
 
 
