@@ -18,7 +18,7 @@ from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
-from arpd.host.kernel import interface_of_link
+from arpd.host.kernel import interface_of_link, own_address
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
@@ -112,12 +112,13 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     settings = load()  # before ROS is imported, so that a fault in the file shows at once
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
-    addresses = Addresses(lambda: daemon.interface)
     link_domain = settings.relay.link(is_far=False)
+    own = own_address(link_domain)
+    addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:
         runtime.prepare_environment(runtime.DAEMON_PROFILE)
     with ExitStack() as stack:
-        node = own_node = stack.enter_context(runtime.control_node("arpd", link_domain))
+        node = own_node = stack.enter_context(runtime.control_node("arpd", link_domain, own()))
         if link_domain is not None:
             runtime.prepare_for_this_host()
             own_node = stack.enter_context(runtime.ros_node("arpd"))  # in the robot's own domain, for its diagnostics

@@ -27,6 +27,7 @@ class Addresses:
     Parameters
     ----------
     interface : returns the current name of the link interface
+    own : returns this computer's address on the link, the only one that the other end is told; None = all of them
     addresses : returns the addresses of every interface that is up
     clock : monotonic clock (s)
     """
@@ -35,10 +36,12 @@ class Addresses:
         self,
         interface: Callable[[], str],
         *,
+        own: Callable[[], str | None] = lambda: None,
         addresses: Callable[[], Mapping[str, frozenset[str]]] = running_addresses,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._interface = interface
+        self._own, self._told = own, own()
         self._addresses = addresses
         self._clock = clock
         self._known = frozenset[str]().union(*addresses().values())
@@ -46,13 +49,15 @@ class Addresses:
         self._new_since_s = self._looked_s = -math.inf
 
     def are_outdated(self) -> bool:
-        """Return whether the link has had a new address for three seconds; cheap enough for every tick."""
+        """Return whether the link has had a new address, or another one, for three seconds; cheap enough for a tick."""
         if (now_s := self._clock()) - self._looked_s >= _LOOK_S:
             addresses = self._addresses()
             if self._looked_s == -math.inf:
                 self._known &= frozenset[str]().union(*addresses.values())
             self._looked_s = now_s
             new = addresses.get(self._interface(), frozenset()) - self._known
+            if self._told is not None and (own := self._own()) not in {None, self._told}:
+                new |= {own}  # the link has moved to another network
             if new != self._new:
                 self._new, self._new_since_s = new, now_s
         return bool(self._new) and now_s - self._new_since_s >= _SETTLED_S

@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.host.interface import index_of, ipv4_addresses
 from arpd.host.kernel import PROC
@@ -26,7 +26,8 @@ _GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS
 _FIRST_SUBMESSAGE = 20
 _DATA, _LITTLE_ENDIAN = 0x15, 0x01
 _TO_PARAMETERS = 20 + 4  # from the body of a DATA submessage without inline QoS: two ids, a number, CDR header
-_PROPERTY_LIST, _METATRAFFIC_LOCATOR, _SENTINEL = 0x59, 0x32, 0x01
+_PROPERTY_LIST, _METATRAFFIC_LOCATOR, _DEFAULT_LOCATOR, _SENTINEL = 0x59, 0x32, 0x31, 0x01
+_UDPV4, _ADDRESS = 1, slice(20, 24)  # of a locator
 _TRANSPORTS = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}  # kinds of locators (fastdds/rtps/common/Locator.h)
 _HOST, _PROCESS = "fastdds.physical_data.host", "fastdds.physical_data.process"
 _IP_MULTICAST_ALL = 49  # linux/in.h
@@ -47,6 +48,7 @@ class Announcer:
     is_arpds : whether it is a process of arpd's; never known of another computer's
     transports : over what it tells of its topics, as "UDPv4"; empty = not known
     memory : its user, and where they may be seen, the numbers of its /dev/shm; None = not known, or of another computer
+    addresses : over IPv4, to each of which others send every sample; empty = not known
     """
 
     host: str
@@ -55,6 +57,15 @@ class Announcer:
     is_arpds: bool
     transports: frozenset[str] = frozenset()
     memory: tuple[int, ...] | None = None
+    addresses: frozenset[str] = frozenset()
+
+
+class Told(NamedTuple):
+    """What a participant tells of itself: properties, transports over which it discovers topics, and addresses."""
+
+    properties: dict[str, str]
+    transports: set[str]
+    addresses: set[str]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,16 +97,17 @@ def heard(
     own : addresses of this computer
     duration_s : time in which they came (s)
     """
-    participants: dict[bytes, tuple[str, dict[str, str], set[str]]] = {}
+    participants: dict[bytes, tuple[str, Told]] = {}
     size_bytes = 0
     for packet, sender in packets:
         size_bytes += len(packet) + _HEADERS_BYTES
         participant = participant_in(packet)
         if participant is not None and len(participants) < _MOST_PARTICIPANTS:
-            _, properties, transports = participants.setdefault(participant, (sender, {}, set()))
-            more, kinds = announced(packet)
-            properties.update(more)
-            transports.update(kinds)
+            _, told = participants.setdefault(participant, (sender, Told({}, set(), set())))
+            more = announced(packet)
+            told.properties.update(more.properties)
+            told.transports.update(more.transports)
+            told.addresses.update(more.addresses)
     running = _running(proc)
     announcers = [_announcer(*one, own, running) for one in participants.values()]
     return HeardDiscovery(
@@ -121,24 +133,21 @@ def _running(proc: Path) -> dict[str, list[tuple[Path, list[str]]]]:
 
 
 def _announcer(
-    address: str,
-    properties: dict[str, str],
-    transports: set[str],
-    own: Collection[str],
-    running: Mapping[str, Sequence[tuple[Path, list[str]]]],
+    address: str, told: Told, own: Collection[str], running: Mapping[str, Sequence[tuple[Path, list[str]]]]
 ) -> Announcer:
-    is_here, number = address in own, properties.get(_PROCESS, "")
+    is_here, number = address in own, told.properties.get(_PROCESS, "")
     known = running.get(number, ()) if is_here else ()
     process, words = known[0] if len(known) == 1 else (None, [])
     program = _program(*words)
     return Announcer(
-        host=properties.get(_HOST, "").rpartition(":")[0] or address,
+        host=told.properties.get(_HOST, "").rpartition(":")[0] or address,
         process=printable(program.name, longest=_MOST_NAME) or f"process {number or 'unknown'}",
         is_here=is_here,
         # In a workspace of colcon it is lib/arpd/relay.
         is_arpds=program.name.partition(".")[0] == "arpd" or program.parts[-3:-1] == ("lib", "arpd"),
-        transports=frozenset(transports),
+        transports=frozenset(told.transports),
         memory=_memory(process) if process else None,
+        addresses=frozenset(told.addresses),
     )
 
 
@@ -161,21 +170,21 @@ def _memory(process: Path) -> tuple[int, ...] | None:
     return told
 
 
-def announced(packet: bytes) -> tuple[dict[str, str], set[str]]:
-    """Return what the sender of an announcement tells of itself: properties, among them host and process; transports.
-
-    The transports are those over which it takes part in discovery of topics; shared memory is not told.
-    """
-    properties: dict[str, str] = {}
-    kinds: set[int] = set()
-    with suppress(struct.error, IndexError, UnicodeDecodeError):
+def announced(packet: bytes) -> Told:
+    """Return what the sender of an announcement tells of itself; shared memory is no transport that it tells."""
+    told = Told({}, set(), set())
+    with suppress(struct.error, IndexError, UnicodeDecodeError, OSError):  # the last for a short address
         for parameter, order, value in _parameters(packet):
             if parameter == _PROPERTY_LIST:
                 words = _words(value, order)
-                properties.update(zip(words, words, strict=False))
-            elif parameter == _METATRAFFIC_LOCATOR:
-                kinds.add(struct.unpack_from(f"{order}i", value)[0])
-    return properties, {name for kind, name in _TRANSPORTS.items() if kind in kinds}
+                told.properties.update(zip(words, words, strict=False))
+            elif parameter in {_METATRAFFIC_LOCATOR, _DEFAULT_LOCATOR}:
+                (kind,) = struct.unpack_from(f"{order}i", value)
+                if parameter == _METATRAFFIC_LOCATOR and kind in _TRANSPORTS:
+                    told.transports.add(_TRANSPORTS[kind])
+                elif parameter == _DEFAULT_LOCATOR and kind == _UDPV4:
+                    told.addresses.add(socket.inet_ntoa(value[_ADDRESS]))
+    return told
 
 
 def _parameters(packet: bytes) -> Iterator[tuple[int, str, bytes]]:

@@ -5,10 +5,16 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from arpd.host.interface import SYS_NET, interface_to, likeliest_interface, of_route, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.settings import AUTO
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from arpd.model.settings import LinkDomain
 
 PROC = Path("/proc")
 _IP_MTU = 14  # linux/in.h
@@ -46,8 +52,32 @@ def link_interface(configured: str, *ends: str | None) -> str:
 
 def is_own_address(address: str) -> bool:
     """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
-    ends = of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
+    ends = _ends_of_route(address)
     return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
+
+
+def own_address(link: LinkDomain | None) -> Callable[[], str | None]:
+    """Return what finds this computer's address on the link, None where none is known; host names are looked up now.
+
+    It is the one that is configured, or where that is not this computer's, the one from which a route leads to the
+    other end.
+    """
+    names = {link.own: True, link.peer: False} if link else {}
+    ends = [(found[1], is_own) for name, is_own in names.items() if name and (found := _ends_of_route(name))]
+
+    def find() -> str | None:
+        for end, is_own in ends:
+            source, address = _ends_of_route(end) or ("127.0.0.1", "")
+            if not ip_address(source).is_loopback and (source == address) is is_own:
+                return source
+        return None
+
+    return find
+
+
+def _ends_of_route(address: str) -> tuple[str, str] | None:
+    """Return this computer's address and the other one of a route, None without one."""
+    return of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
 
 
 def counters(protocol: str, *, proc: Path = PROC) -> dict[str, int]:

@@ -181,10 +181,17 @@ class RelayTopic(Section):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LinkDomain:
-    """ROS domain of the link, and the address of the other end, empty = it finds this one."""
+    """ROS domain of the link, and the address of each end.
+
+    Parameters
+    ----------
+    peer : the other end's, empty = it finds this one
+    own : this end's, empty = not configured
+    """
 
     domain_id: int
     peer: str
+    own: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -234,7 +241,8 @@ class RelaySettings(Section):
         """
         if self.link_domain is None:
             return None
-        return LinkDomain(domain_id=self.link_domain, peer=(self.robot if is_far else self.base) or "")
+        own, other = (self.base, self.robot) if is_far else (self.robot, self.base)
+        return LinkDomain(domain_id=self.link_domain, peer=other or "", own=own or "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

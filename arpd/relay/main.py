@@ -21,7 +21,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import link_interface
+from arpd.host.kernel import link_interface, own_address
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
@@ -81,7 +81,9 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     stop_on_signals(stopping)
     notifier = Notifier()
     interface = AUTO if is_far else settings.link.interface  # the file names the robot's
-    addresses = Addresses(partial(link_interface, interface, settings.relay.robot, settings.relay.base))
+    relay, link = settings.relay, settings.relay.link(is_far=is_far)
+    own = own_address(link)
+    addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
         parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later
@@ -92,11 +94,11 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         finally:
             notifier.stopping()
 
-    relay, name = settings.relay, node_name or default_node_name(platform.node(), is_far=is_far)
-    if relay.link_domain is not None:
+    name = node_name or default_node_name(platform.node(), is_far=is_far)
+    if link is not None:
         prepare_environment(TWO_ENDED_PROFILE)
         return_large_blocks()
-        with ros_node(name, relay.link(is_far=is_far)) as link_node:
+        with ros_node(name, link, address=own()) as link_node:
             prepare_for_this_host()
             with ros_node(name) as node:
                 check_middleware(current_rmw())

@@ -19,7 +19,7 @@ from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import interface_of_link, link_interface
+from arpd.host.kernel import interface_of_link, link_interface, own_address
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets
@@ -163,8 +163,9 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     reader = InterfaceReader(interface, route=partial(interface_of_link, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
-    addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base))
-    with control_node("arpd_peer", link) as node, serving(node, reader=reader, name=name) as (peer, thread):
+    own = own_address(link)
+    addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
+    with control_node("arpd_peer", link, own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
         notifier.ready()
         status = ProbeStatus(lambda: f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)

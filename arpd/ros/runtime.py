@@ -6,6 +6,7 @@ import ctypes
 import logging
 import math
 import os
+import secrets
 import signal
 import socket
 import time
@@ -46,9 +47,15 @@ _FACTORY = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory12get_instanceEv"
 _SET_DEFAULT = (
     "_ZN8eprosima7fastdds3dds24DomainParticipantFactory27set_default_participant_qosERKNS1_20DomainParticipantQosE"
 )
+_LOAD_FILE = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory13load_profilesEv"  # that of the environment, once
 _DEFAULT = "_ZN8eprosima7fastdds3dds23PARTICIPANT_QOS_DEFAULTE"
 _XML_OK = 1
-_PEER = "<locator><udpv4><address>{}</address></udpv4></locator>"
+_LOCATOR = "<locator><udpv4><address>{}</address></udpv4></locator>"
+_BUILTIN = "<builtin>"
+_TOLD = (
+    f"<defaultUnicastLocatorList>{{0}}</defaultUnicastLocatorList>{_BUILTIN}"
+    "<metatrafficUnicastLocatorList>{0}</metatrafficUnicastLocatorList>"
+)
 
 
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
@@ -80,29 +87,59 @@ def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ) ->
     """
     is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
-        with suppress(OSError, AttributeError, ValueError):
-            fast_dds = ctypes.CDLL("librmw_fastrtps_cpp.so")
-            has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
-            is_loaded = _load(fast_dds, _GHOSTS_PROFILE.read_text())
-            if has_udp_alone:
-                is_loaded = _load(fast_dds, _with_peers(_UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
-            (factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
-            default = ctypes.c_char.in_dll(fast_dds, _DEFAULT)
-            fast_dds[_SET_DEFAULT](ctypes.c_void_p(factory()), ctypes.byref(default))
-            if has_udp_alone and is_loaded:  # else rmw_fastrtps names the peer that has no address
-                environment[_RANGE] = "SYSTEM_DEFAULT"
+        profiles = [_GHOSTS_PROFILE.read_text()]
+        has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
+        if has_udp_alone:
+            profiles.append(_with_peers(_UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
+        if _load(*profiles) and has_udp_alone:  # else rmw_fastrtps names the peer that has no address
+            environment[_RANGE] = "SYSTEM_DEFAULT"
 
 
-def _load(fast_dds: ctypes.CDLL, profiles: str) -> bool:
-    """Add profiles, and return whether Fast DDS takes them; a default replaces the one before."""
-    text = profiles.encode()
-    return bool(fast_dds[_LOAD_PROFILE](text, ctypes.c_size_t(len(text))) == _XML_OK)
+def _load(*profiles: str) -> bool:
+    """Give participants that are made from now on the last of these profiles; return whether Fast DDS takes it."""
+    is_taken = False
+    with suppress(OSError, AttributeError, ValueError):
+        fast_dds = ctypes.CDLL("librmw_fastrtps_cpp.so")
+        (get_factory := fast_dds[_FACTORY]).restype = ctypes.c_void_p
+        factory = ctypes.c_void_p(get_factory())
+        fast_dds[_LOAD_FILE](factory)  # else it would come later, and replace these
+        for text in map(str.encode, profiles):
+            is_taken = fast_dds[_LOAD_PROFILE](text, ctypes.c_size_t(len(text))) == _XML_OK
+        fast_dds[_SET_DEFAULT](factory, ctypes.byref(ctypes.c_char.in_dll(fast_dds, _DEFAULT)))
+    return is_taken
 
 
 def _with_peers(profile: str, peers: str) -> str:
     """Return a profile that announces its participant at ROS_STATIC_PEERS, too."""
     hosts = "127.0.0.1", *filter(None, peers.split(";"))
-    return profile.replace(_PEER.format(hosts[0]), "".join(_PEER.format(escape(host)) for host in hosts))
+    return profile.replace(_LOCATOR.format(hosts[0]), "".join(_LOCATOR.format(escape(host)) for host in hosts))
+
+
+@contextmanager
+def _told_address(address: str | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
+    """Let a participant that is made meanwhile tell others one address of this computer's, where one is given.
+
+    Fast DDS sends every sample to each address of a reader's. Where a computer has a second one, of Docker, of a VPN or
+    of a second network, both lead over the link, by a route of their own or by the default route: measured, everything
+    crossed twice. It still listens on every interface, so processes on this computer hear it without the link.
+    """
+    file = environment.get(PROFILE_VARIABLES[0], "")
+    if address is None or file not in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}:
+        yield
+        return
+    profile = Path(file).read_text()
+    _load(_renamed(profile).replace(_BUILTIN, _TOLD.format(_LOCATOR.format(address))))
+    try:
+        yield
+    finally:
+        _load(_renamed(profile))
+
+
+def _renamed(profile: str) -> str:
+    """Return the participant of a profile under a name of its own: Fast DDS takes each name once."""
+    before, end = '<participant profile_name="', "</participant>"
+    participant = profile.partition(f"{before}arpd")[2].partition(end)[0]
+    return f"<profiles>{before}{secrets.token_hex(4)}{participant}{end}</profiles>"
 
 
 @contextmanager
@@ -138,7 +175,9 @@ def _is_another(path: Path) -> bool:
 
 
 @contextmanager
-def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) -> Iterator[Any]:
+def ros_node(
+    name: str, link: LinkDomain | None = None, *, address: str | None = None, context: Any = None
+) -> Iterator[Any]:
     """Run rclpy with one node, without rclpy's signal handlers: the process has its own.
 
     It has none of a node's usual services, of parameters and type descriptions, because nobody spins it. Raises
@@ -148,6 +187,7 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
     Parameters
     ----------
     link : domain that it joins; the host's own domain when None
+    address : this computer's on the link, the only one that others are told; None = all that it has
     context : rclpy context to start for it; None = the process's own, for a link a new one
     """
     prepare_environment(OWN_PROFILE if link is None else TWO_ENDED_PROFILE)
@@ -163,13 +203,14 @@ def ros_node(name: str, link: LinkDomain | None = None, *, context: Any = None) 
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
             _require_ports(context)
-            node = rclpy.create_node(
-                name,
-                context=context,
-                enable_rosout=link is None,  # nobody reads it on the link
-                start_parameter_services=False,
-                parameter_overrides=[Parameter("start_type_description_service", value=False)],
-            )
+            with _told_address(address):
+                node = rclpy.create_node(
+                    name,
+                    context=context,
+                    enable_rosout=link is None,  # nobody reads it on the link
+                    start_parameter_services=False,
+                    parameter_overrides=[Parameter("start_type_description_service", value=False)],
+                )
     except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
         rclpy.try_shutdown(context=context)
         if link and not _has_address(link.peer):
@@ -203,10 +244,10 @@ def _require_ports(context: Any) -> None:
 
 
 @contextmanager
-def control_node(name: str, link: LinkDomain | None = None) -> Iterator[Any]:
+def control_node(name: str, link: LinkDomain | None, address: str | None) -> Iterator[Any]:
     """Run a node as `ros_node` does, with writes that never wait for the link (`send_without_waiting`)."""
     send_without_waiting()
-    with ros_node(name, link) as node:
+    with ros_node(name, link, address=address) as node:
         yield node
 
 

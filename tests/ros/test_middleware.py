@@ -137,3 +137,27 @@ def test_an_end_asks_readers_on_its_host_less_often_than_the_other_end(ros):
     )
     link_s, local_s = map(float, told.stdout.split())
     assert local_s > 1.5 * link_s
+
+
+TOLD = f"""
+import socket
+from arpd.host.discovery import announced
+from arpd.model.settings import LinkDomain
+from arpd.ros.runtime import TWO_ENDED_PROFILE, prepare_environment, ros_node
+
+def told(domain, address):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 7400 + 250 * domain + 10 + 2 * 3))
+        with ros_node("end", LinkDomain(domain_id=domain, peer=""), address=address):
+            return announced(ear.recv(65536)).addresses
+
+prepare_environment(TWO_ENDED_PROFILE)
+assert told({DOMAIN + 1}, "127.0.0.9") == {{"127.0.0.9"}}
+assert "127.0.0.9" not in told({DOMAIN + 2}, None)
+"""
+
+
+def test_a_participant_of_the_link_tells_the_address_it_has_there_and_no_other(ros):
+    """Else all that crosses would cross once for each network of this computer; others made later tell all of them."""
+    environment = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    subprocess.run([sys.executable, "-c", TOLD], env=environment, cwd=REPO, check=True, timeout=30.0)

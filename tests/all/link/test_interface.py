@@ -55,7 +55,7 @@ from arpd.ros.world import RosControl
 from arpd.ros.runtime import control_node
 from arpd.model.settings import GraphSettings
 
-with control_node("arpd") as node:
+with control_node("arpd", None, None) as node:
     world = RosControl(node, interface=sys.argv[1], on_report=lambda: None)
     heard = number = 0
     while True:

@@ -2,10 +2,11 @@
 
 import json
 
-from tests.all.link.hosts import NEEDS_LINK
+from tests.all.link.hosts import NEEDS_LINK, ip
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
+ENDS = "docker0", "inside"
 REFUSED = "/cries does not cross as it should: /crier of the other side is visible in this domain without the relay"
 
 
@@ -21,6 +22,29 @@ def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
     hosts.node("robot", "crier", "write:/cries:std_msgs/String")
     eventually("the node on the link is named", lambda: REFUSED in hosts.text("near") + hosts.text("far"))
     assert "/whispers" not in hosts.text("near") + hosts.text("far")
+
+
+def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts):
+    """As of Docker, to which the default route leads over the link, too."""
+    ip(hosts.base, "link", "add", "docker0", "type", "veth", "peer", "name", "inside")
+    for change in (["addr", "add", "172.17.0.1/16", "dev", "docker0"], *(["link", "set", each, "up"] for each in ENDS)):
+        ip(hosts.base, *change)
+    ip(hosts.robot, "route", "add", "default", "via", "10.77.0.2")
+    (hosts.folder / "arpd.yaml").write_text("relay: {link_domain: 102, robot: 10.77.0.1, base: 10.77.0.2}\n")
+    confined = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    hosts.start("robot", "near", "arpd", "relay", "--config", "arpd.yaml", **confined)
+    hosts.start("base", "far", "arpd", "relay", "--config", "arpd.yaml", "--far", **confined)
+    hosts.node("robot", "camera", "write:/pictures:std_msgs/String:20000", **confined)
+    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **confined)
+
+    def seen():
+        return hosts.text("planner").count("/pictures")
+
+    eventually("the topic crosses", lambda: seen() > 20)
+    before, sent_bytes = seen(), hosts.link.counters()["robot"].tx_bytes
+    eventually("more has crossed", lambda: seen() >= before + 60)
+    sent_bytes = hosts.link.counters()["robot"].tx_bytes - sent_bytes
+    assert sent_bytes / (seen() - before) < 1.5 * 20_000
 
 
 def test_topics_of_the_other_computer_do_not_cross_to_be_measured(hosts):

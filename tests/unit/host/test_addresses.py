@@ -11,8 +11,11 @@ class Host:
     def __init__(self, **addresses):
         self.now_s = 100.0
         self.by_interface = addresses
-        self.link = "wlan0"
-        self.addresses = Addresses(lambda: self.link, addresses=self.known, clock=lambda: self.now_s)
+        self.link, self.own = "wlan0", None
+        self.addresses = self.began()
+
+    def began(self):
+        return Addresses(lambda: self.link, own=lambda: self.own, addresses=self.known, clock=lambda: self.now_s)
 
     def known(self):
         return {name: frozenset([address]) for name, address in self.by_interface.items()}
@@ -60,4 +63,19 @@ def test_an_address_that_is_away_while_ros_starts_calls_for_a_new_process():
     del host.by_interface["wlan0"]
     assert not host.are_outdated(5.0)
     host.by_interface["wlan0"] = "10.0.0.5"
+    assert host.are_outdated(6.0)
+
+
+def test_a_link_that_moves_to_another_network_calls_for_a_new_process():
+    """The other end knows one address; to be away from it for a moment, or without any route, calls for nothing."""
+    host = Host(wlan0="10.0.0.5", eth0="192.168.1.2")
+    host.own = "192.168.1.2"
+    host.addresses = host.began()
+    host.link = "eth0"
+    for own in ("192.168.1.2", None, "10.0.0.5"):
+        host.own = own
+        assert not host.are_outdated(2.0)
+    host.own = "192.168.1.2"
+    assert not host.are_outdated(30.0)
+    host.own = "10.0.0.5"
     assert host.are_outdated(6.0)

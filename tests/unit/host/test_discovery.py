@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -18,11 +19,12 @@ def padded(text):
     return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
 
 
-def announcement(properties, *, guid=GUID, kinds=()):
-    """Return an announcement with properties and locators of these kinds (OMG DDSI-RTPS 2.3, 8.5.3)."""
+def announcement(properties, *, guid=GUID, kinds=(), addresses=()):
+    """Return an announcement with properties, locators of these kinds, and addresses (OMG DDSI-RTPS 2.3, 8.5.3)."""
     pairs = struct.pack("<I", len(properties)) + b"".join(map(padded, [w for pair in properties.items() for w in pair]))
     parameters = struct.pack("<HH", 0x15, 4) + b"\x02\x02\0\0"
     parameters += b"".join(struct.pack("<HHiI16x", 0x32, 24, kind, 7410) for kind in kinds)
+    parameters += b"".join(struct.pack("<HHiI12x4s", 0x31, 24, 1, 7411, bytes(each)) for each in addresses)
     parameters += struct.pack("<HH", 0x59, len(pairs)) + pairs + struct.pack("<HH", 0x01, 0)
     body = bytes(20) + b"\0\x03\0\0" + parameters
     stamp = struct.pack("<BBH", 0x09, 1, 8) + bytes(8)
@@ -58,14 +60,14 @@ TOLD = {
 def test_no_packet_raises(tail, cut):
     """Whatever arrives at the port."""
     announced(b"RTPS" + tail)
-    announced(announcement(TOLD, kinds=(1, 4))[:cut] + tail)
+    announced(announcement(TOLD, kinds=(1, 4), addresses=[(10, 0, 0, 1)])[:cut] + tail)
 
 
 @given(st.sets(st.sampled_from([1, 2, 4, 8, 16])))
 def test_transports_are_those_of_the_locators_for_discovery(kinds):
     """Shared memory, which serves one computer only, is none of them."""
     names = {1: "UDPv4", 2: "UDPv6", 4: "TCPv4", 8: "TCPv6"}
-    assert announced(announcement(TOLD, kinds=kinds))[1] == {names[kind] for kind in kinds if kind in names}
+    assert announced(announcement(TOLD, kinds=kinds)).transports == {names[kind] for kind in kinds if kind in names}
 
 
 @pytest.mark.parametrize(
@@ -104,6 +106,13 @@ def test_participants_are_counted_once_and_named(run):
         ("laptop", "process 4711", False),
     ]
     assert found.bytes_per_second == sum(len(packet) + 42 for packet, _ in packets) / 2.0
+
+
+def test_the_addresses_of_a_participant_are_all_that_it_has_told():
+    """It may tell one more later, of an interface that came."""
+    parts = [announcement(TOLD, addresses=each) for each in ([(10, 0, 0, 1)], [(10, 0, 0, 1), (172, 17, 0, 1)])]
+    (found,) = heard_with(Path("/nowhere"), *((part, "10.0.0.3") for part in parts)).announcers
+    assert found.addresses == {"10.0.0.1", "172.17.0.1"}
 
 
 def test_a_process_of_a_container_is_found_by_the_number_it_has_there(run):
