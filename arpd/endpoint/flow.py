@@ -41,6 +41,7 @@ class Flow(Generic[W]):
     Attributes
     ----------
     lane : its place in the queue, which the owner adds there
+    swap : has the writer by which samples leave, and its QoS
 
     Notes
     -----
@@ -63,8 +64,8 @@ class Flow(Generic[W]):
         self._clock = clock
         self._on_swap, self._on_held = on_swap, on_held
         self._swaps: Counter[str] = Counter()
-        self._swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
-        self._writer, self._awaits_silence = self._swap.current, False  # of the swap; only its steps change them
+        self.swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
+        self._writer, self._awaits_silence = self.swap.current, False  # of the swap; only its steps change them
         self._lock = lock  # guards the swap
         is_ordered = overflow is Overflow.QUEUE
         self.lane = Lane(
@@ -81,16 +82,6 @@ class Flow(Generic[W]):
         self._held: deque[bytes] = deque()  # samples that the queue released and a swap holds
         self._catch_up_s = -math.inf  # when the next of them may leave
 
-    @property
-    def qos(self) -> WriterQos:
-        """QoS of the writer by which samples leave."""
-        return self._swap.qos
-
-    @property
-    def writer(self) -> W:
-        """Writer by which samples leave."""
-        return self._swap.current
-
     def write(self, sample: bytes) -> None:
         """Write a sample that the queue released, or hold it while a swap says so; may block on a full link."""
         if not (self._held or self._awaits_silence):  # the usual case
@@ -106,21 +97,17 @@ class Flow(Generic[W]):
     def request(self, qos: WriterQos) -> None:
         """Ask for a writer with this QoS, which a swap brings; the plan's rates are the queue's to give."""
         with self._lock:
-            self._swap.request(qos)
-
-    def set_loss(self, loss_ratio: float | None) -> None:
-        """Take the share of packets that the link loses; None = not known."""
-        self._swap.loss_ratio = loss_ratio
+            self.swap.request(qos)
 
     def service(self, now_s: float) -> float:
         """Take a step of the swap, and write what it held; return when to call again, inf = when asked (s)."""
-        if not (self._swap.is_busy or self._held):
+        if not (self.swap.is_busy or self._held):
             return math.inf
         self._step(now_s)
         self._release()
         now_s = self._clock()
-        due_s = now_s + self._swap.poll_s if self._swap.is_busy else math.inf
-        if self._held and not self._swap.is_holding:
+        due_s = now_s + self.swap.poll_s if self.swap.is_busy else math.inf
+        if self._held and not self.swap.is_holding:
             due_s = min(due_s, max(now_s, self._catch_up_s))
         return due_s
 
@@ -129,7 +116,7 @@ class Flow(Generic[W]):
         if len(self.lane) or self.lane.claimant is not None or self._held:
             return False
         with self._lock:
-            return self._swap.is_acknowledged()
+            return self.swap.is_acknowledged()
 
     def state(self) -> FlowState:
         """Return the settings in force and the counters; called about once a second."""
@@ -142,12 +129,12 @@ class Flow(Generic[W]):
                 withheld=withheld.total(),
                 withheld_by_cause=dict(withheld),
                 queued=lane.queued + len(self._held),
-                depth=self.qos.depth,
-                deadline_ns=self.qos.deadline_ns,
+                depth=self.swap.qos.depth,
+                deadline_ns=self.swap.qos.deadline_ns,
                 deadlines_missed=self._missed + self._writer.deadlines_missed(),
                 swaps_by_result=dict(self._swaps),
-                swaps_begun=self._swap.begun,
-                last_swap=self._swap.last,
+                swaps_begun=self.swap.begun,
+                last_swap=self.swap.last,
             )
 
     def rest(self) -> list[bytes]:
@@ -160,7 +147,7 @@ class Flow(Generic[W]):
         """Withhold the samples that a swap holds, and destroy every writer."""
         with self._lock:
             self._withheld[WithheldCause.CLOSED.value] += len(self.rest())
-            self._swap.close()
+            self.swap.close()
 
     def _write(self, sample: bytes) -> None:
         try:
@@ -170,22 +157,23 @@ class Flow(Generic[W]):
             raise
         if self._awaits_silence:
             with self._lock:
-                self._swap.wrote(self._clock())
+                self.swap.wrote(self._clock())
 
     def _step(self, now_s: float) -> None:
         """Move a swap on as far as its writers allow."""
         with self._lock:
-            before = self._writer
+            before, price = self._writer, self.lane.price
+            self.swap.loss_ratio = None if price is None else price.loss_ratio
             try:
-                self._swap.step(now_s)
+                self.swap.step(now_s)
             finally:
-                self._writer, self._awaits_silence = self._swap.current, self._swap.awaits_silence
+                self._writer, self._awaits_silence = self.swap.current, self.swap.awaits_silence
             if self._writer is not before:
                 self._missed += before.deadlines_missed() - self._writer.deadlines_missed()
 
     def _release(self) -> None:
         """Write what a swap held, at twice the rate at which it came."""
-        while self._held and not self._swap.is_holding and (now_s := self._clock()) >= self._catch_up_s:
+        while self._held and not self.swap.is_holding and (now_s := self._clock()) >= self._catch_up_s:
             spacing_s = 1.0 / (CATCH_UP * max(_LEAST_FLOWING_HZ, self._flowing_hz(now_s)))
             # A caller that comes late may write two more.
             self._catch_up_s = max(self._catch_up_s, now_s - 2.0 * spacing_s) + spacing_s

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from array import array
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -19,6 +18,7 @@ from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
+from arpd.ros.cdr import wrap
 from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
@@ -202,7 +202,7 @@ class NodePublishers:
             lacks_profile=self._lacks_profile,
             relay=self.relay and self.relay(),
         )
-        self._snapshots.publish(UInt8MultiArray(data=array("B", message)))
+        self._snapshots.publish(wrap(message))
 
     def take_price(self, price: Price) -> None:
         """Take the price of the link."""

@@ -121,7 +121,7 @@ class AdaptivePublisher:
             timing=swap_timing,
             lock=threading.RLock(),
         )
-        self.qos_profile = copy(self._flow.writer.publisher.qos_profile)  # with the overrides of the other policies
+        self.qos_profile = copy(self._flow.swap.current.publisher.qos_profile)  # with the other overrides
         self._overrides = None
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
@@ -147,7 +147,7 @@ class AdaptivePublisher:
         """Return what else a publisher has, of the writer in force; a swap replaces it, so do not store its handle."""
         if name.startswith("_"):
             raise AttributeError(name)
-        return getattr(self._flow.writer.publisher, name)
+        return getattr(self._flow.swap.current.publisher, name)
 
     def publish(self, msg: Any) -> None:
         """Publish a message, now or when pacing allows it.
@@ -195,7 +195,7 @@ class AdaptivePublisher:
         rest = self._thread.rest_of(self._flow.lane)
         try:
             for sample in [*self._flow.rest(), *rest]:
-                self._flow.writer.publish_late(sample)
+                self._flow.swap.current.publish_late(sample)
         finally:
             self._thread.release(self._flow.lane)
 
@@ -223,10 +223,10 @@ class AdaptivePublisher:
             return  # repeated for another node
         depth = self.baseline.depth if self._keeps_all else plan.depth  # KEEP_ALL ignores it: a swap would be in vain
         qos = WriterQos(depth=depth, deadline_ns=plan.deadline_ns)
-        if qos == self._flow.qos:
+        if qos == self._flow.swap.qos:
             self._refusal = NO_REFUSAL
         elif self._lasting_refusal.words:
-            self._refusal, qos = self._lasting_refusal, self._flow.qos
+            self._refusal, qos = self._lasting_refusal, self._flow.swap.qos
         self._flow.request(qos)
         self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._thread.wake(self)
@@ -234,7 +234,6 @@ class AdaptivePublisher:
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link, from which the rate follows; None = no daemon is there."""
         if price != self._flow.lane.price:
-            self._flow.set_loss(None if price is None else price.loss_ratio)
             self._thread.retune(self._flow.lane, self._flow.lane.plan, price)
 
     def service(self, now_s: float) -> float:
@@ -265,11 +264,11 @@ class AdaptivePublisher:
     def _warn_of_refusals(self) -> None:
         # As rclpy's default callback does. To read the count would take the event from a callback of the application.
         has_callback = self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None
-        if not has_callback and (refusals := self._flow.writer.refusals()) > self._refusals:
+        if not has_callback and (refusals := self._flow.swap.current.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
                 f"{self.topic_name}: a subscription requests incompatible QoS and receives nothing; "
-                f"last incompatible policy: {self._flow.writer.refused_policy}"
+                f"last incompatible policy: {self._flow.swap.current.refused_policy}"
             )
 
     def _create_writer(self, qos: WriterQos) -> RosWriter:
@@ -285,14 +284,14 @@ class AdaptivePublisher:
         return RosWriter(self._node, create, self._event_callbacks, requests=self._requests, in_force=self._in_force)
 
     def _in_force(self) -> RosWriter | None:
-        return self._flow.writer if hasattr(self, "_flow") else None  # None while the first one is made
+        return self._flow.swap.current if hasattr(self, "_flow") else None  # None while the first one is made
 
     def _on_swap(self, result: SwapResult, qos: WriterQos) -> None:
         self._shared.hurry()
         if result in {SwapResult.OK, SwapResult.REORDER_POSSIBLE}:
             self._refusal = NO_REFUSAL
         elif result in {SwapResult.UNMATCHED, SwapResult.INCOMPATIBLE, SwapResult.FAILED}:
-            offered_ns = self._flow.qos.deadline_ns
+            offered_ns = self._flow.swap.qos.deadline_ns
             words = swap_failure(result, qos, requests=self._requests, offered_ns=offered_ns)
             self._refusal = Refusal(RefusalReason(result.value), words)
             self._node.get_logger().warning(words)

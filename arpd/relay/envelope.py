@@ -7,16 +7,15 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+from arpd.ros.cdr import ARRAY, LITTLE_ENDIAN
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-# CDR, little endian: an array without dimensions, no offset, and its length (OMG DDSI-RTPS 2.3, 10.5).
-_MESSAGE = struct.Struct("<4sIII")
-_CDR = b"\x00\x01\x00\x00"
 _CHUNK = struct.Struct("<IIIIIIB")
 _RECORD = struct.Struct("<8sIQ")
 #: What a chunk adds to the part of the message in it (bytes).
-CHUNK_HEADER_BYTES = _MESSAGE.size + _CHUNK.size
+CHUNK_HEADER_BYTES = ARRAY.size + _CHUNK.size
 MOST_MESSAGE_BYTES = 2**26
 WRAP = 2**32  # of the numbers and times in a chunk
 
@@ -80,27 +79,22 @@ def unpack(message: bytes) -> list[Record]:
     return records
 
 
-def wrap(data: bytes) -> bytes:
-    """Return a serialized UInt8MultiArray with these bytes."""
-    return _MESSAGE.pack(_CDR, 0, 0, len(data)) + data
-
-
 def encode_chunk(chunk: Chunk) -> bytes:
     """Return a serialized UInt8MultiArray with a chunk."""
     size = _CHUNK.size + len(chunk.part)
-    return _MESSAGE.pack(_CDR, 0, 0, size) + _CHUNK.pack(*chunk[:7]) + chunk.part
+    return ARRAY.pack(LITTLE_ENDIAN, 0, 0, size) + _CHUNK.pack(*chunk[:7]) + chunk.part
 
 
 def decode_chunk(sample: bytes) -> Chunk:
     """Return the chunk in a serialized UInt8MultiArray; raises ValueError if it holds none."""
     try:
-        cdr, dimensions, offset, size = _MESSAGE.unpack_from(sample)
-        session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(sample, _MESSAGE.size)
+        cdr, dimensions, offset, size = ARRAY.unpack_from(sample)
+        session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(sample, ARRAY.size)
     except struct.error as fault:
         raise ValueError("no chunk of a relay") from fault
-    part = sample[CHUNK_HEADER_BYTES : _MESSAGE.size + size]
+    part = sample[CHUNK_HEADER_BYTES : ARRAY.size + size]
     chunk = Chunk(session, number, departed_us, message, at, total, bool(is_kept), part)
-    if cdr[:2] != _CDR[:2] or dimensions or offset or len(part) != size - _CHUNK.size:
+    if cdr[:2] != LITTLE_ENDIAN[:2] or dimensions or offset or len(part) != size - _CHUNK.size:
         raise ValueError("no chunk of a relay")
     if not chunk.offset + len(part) <= chunk.total <= MOST_MESSAGE_BYTES:
         raise ValueError(f"a chunk at {chunk.offset} of a message of {chunk.total} bytes")

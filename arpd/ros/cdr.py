@@ -1,10 +1,13 @@
-"""What arpd reads of serialized messages without their classes: pure."""
+"""What arpd reads and writes of serialized messages without their classes: pure."""
 
 from __future__ import annotations
 
 import struct
 
 _ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
+#: What stands before the bytes of a UInt8MultiArray: an array without dimensions, no offset, and its length.
+ARRAY = struct.Struct("<4sIII")
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def stamp_of(sample: bytes) -> tuple[int, int]:
@@ -17,6 +20,11 @@ def stamp_of(sample: bytes) -> tuple[int, int]:
     except (KeyError, IndexError, struct.error) as fault:
         raise ValueError("a sample without a header stamp") from fault
     return seconds, nanoseconds
+
+
+def wrap(content: bytes) -> bytes:
+    """Return a serialized UInt8MultiArray with these bytes; rclpy would take an element at a time."""
+    return ARRAY.pack(LITTLE_ENDIAN, 0, 0, len(content)) + content
 
 
 def octets(data: bytes) -> bytes:

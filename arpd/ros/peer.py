@@ -22,7 +22,7 @@ from arpd.host.journal import configure_logging
 from arpd.host.kernel import interface_of_link, link_interface, own_address
 from arpd.host.notify import Notifier, Watchdog
 from arpd.model.settings import RelaySettings
-from arpd.ros.cdr import octets
+from arpd.ros.cdr import octets, wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
 from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread
@@ -47,7 +47,7 @@ class Peer:
 
     def __init__(
         self,
-        publish: Callable[[Any], None],
+        publish: Callable[[bytes], None],
         *,
         reader: InterfaceReader,
         name: str,
@@ -95,7 +95,7 @@ class Peer:
         if now_s < schedule.due_s:
             self._due_s = schedule.due_s
             return
-        self._publish(encode_report(self._receiver.report(now_s, rx_bytes=rx_bytes, rx_packets=rx_packets)))
+        self._publish(wrap(encode_report(self._receiver.report(now_s, rx_bytes=rx_bytes, rx_packets=rx_packets))))
         self._counters = after
         self._due_s = schedule.look_s
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
-from array import array
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.model.plan import NO_PLAN
+from arpd.ros.cdr import wrap
 from arpd.ros.names import PLAN_TOPIC
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
 from arpd.ros.rcl import no_publisher_events
@@ -32,6 +32,10 @@ class PlanSender:
     """Sends the plan when it is new, and while nodes do not show it, after a growing time.
 
     A node that starts later finds the last plan, which the writer keeps.
+
+    Attributes
+    ----------
+    results : answers of nodes so far, by result: ``ok``, ``refused``, ``timeout``
     """
 
     def __init__(self, node: Any) -> None:
@@ -41,12 +45,7 @@ class PlanSender:
         self._sent_s = -math.inf
         self._again_s = _AGAIN_S
         self._awaited: set[str] = set()  # nodes that owe an answer
-        self._results: Counter[str] = Counter()
-
-    @property
-    def results(self) -> Mapping[str, int]:
-        """Answers of nodes so far, by result: ``ok``, ``refused``, ``timeout``."""
-        return dict(self._results)
+        self.results: Counter[str] = Counter()
 
     def apply(
         self,
@@ -66,7 +65,7 @@ class PlanSender:
         if now_s - self._sent_s < (_LEAST_S if is_new else self._again_s):
             return
         if not is_new and (silent := sorted(self._awaited)):
-            self._results["timeout"] += len(silent)
+            self.results["timeout"] += len(silent)
             log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
         self._sent, self._sent_s, self._awaited = wanted, now_s, set(missing)
@@ -74,8 +73,7 @@ class PlanSender:
             self._writer = self._ros.create_publisher(
                 UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=no_publisher_events()
             )
-        message = encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)
-        self._writer.publish(UInt8MultiArray(data=array("B", message)))
+        self._writer.publish(wrap(encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)))
 
     def forget(self) -> None:
         """Take the plan back: its writer goes, with what it kept for nodes that start later."""
@@ -91,10 +89,10 @@ class PlanSender:
         for node in tuple(self._awaited):
             answer = answers.get(node, NO_PLAN)
             if answer.refusal and answer.refused == generation:
-                self._results["refused"] += 1
+                self.results["refused"] += 1
                 log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
             elif answer.generation == generation:
-                self._results["ok"] += 1
+                self.results["ok"] += 1
             else:
                 continue
             self._awaited.discard(node)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import struct
-from array import array
 from dataclasses import dataclass
-from typing import Any
-
-from std_msgs.msg import UInt8MultiArray
 
 from arpd.model.probing import PeerReport, Train
 
@@ -45,11 +41,11 @@ class ProbeHeader:
     quiet_s: float = 0.0
 
 
-def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> Any:
+def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> bytes:
     """Make one probe packet of ``payload_bytes`` (at least the header)."""
     quiet = min(255, round(header.quiet_s * 100))
     head = _PROBE.pack(_PROBE_VERSION, quiet, header.index, header.packets, header.train & 0xFFFFFFFF)
-    return UInt8MultiArray(data=array("B", head.ljust(payload_bytes, b"\0")))
+    return head.ljust(payload_bytes, b"\0")
 
 
 def decode_probe(data: bytes) -> ProbeHeader:
@@ -62,8 +58,8 @@ def decode_probe(data: bytes) -> ProbeHeader:
     return ProbeHeader(train, index, packets, quiet / 100)
 
 
-def encode_report(report: PeerReport) -> Any:
-    """Make the message of one report: 32 bytes and the name, with one delay; 14 more with a train."""
+def encode_report(report: PeerReport) -> bytes:
+    """Make one report: 32 bytes and the name, with one delay; 14 more with a train."""
     delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
     # A name that is too long is cut between two characters.
     name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
@@ -80,7 +76,7 @@ def encode_report(report: PeerReport) -> Any:
     )
     packed = [_DELAY.pack(delay) for delay in delays]
     packed += [_TRAIN.pack(each.payload_bytes, each.duration_s, each.sent_s, each.packets) for each in trains]
-    return UInt8MultiArray(data=array("B", b"".join([head, name, *packed])))
+    return b"".join([head, name, *packed])
 
 
 def decode_report(data: bytes) -> PeerReport:

@@ -20,6 +20,7 @@ from arpd.host.radio import transmit_rate
 from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
+from arpd.ros.cdr import wrap
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.inbox import Inbox, Letters
@@ -153,7 +154,7 @@ class RosControl:
             peer_ages_s=MappingProxyType(peer_ages_s),
             peer_clocks=MappingProxyType(peer_clocks),
             refused=self._refused(),
-            answers=self._sender.results,
+            answers=dict(self._sender.results),
             pending=self._nodes.pending,
             left_out=self._nodes.left_out,
             relay=relay,
@@ -187,7 +188,7 @@ class RosControl:
         """Send one train, or a ping, back to back."""
         head = ProbeHeader(self._reports.number(request.number), 0, request.packets, request.quiet_s)
         size = request.packet_bytes
-        packets = [encode_probe(replace(head, index=k), payload_bytes=size) for k in range(head.packets)]
+        packets = [wrap(encode_probe(replace(head, index=k), payload_bytes=size)) for k in range(head.packets)]
         for packet in packets:
             self._probe_publisher.publish(packet)
 

@@ -186,7 +186,6 @@ class SimulatedPublisher(SimulatedSource):
 
     def set_price(self, price: Price | None) -> None:
         """Take the price of the link; None = no daemon is heard."""
-        self._flow.set_loss(None if price is None else price.loss_ratio)
         self._thread.retune(self._flow.lane, self._flow.lane.plan, price)
 
     def state(self) -> PublisherState:

@@ -14,8 +14,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.relay.ends.offers import EndState, decode_state, encode_state
-from arpd.relay.envelope import WRAP, Chunk, encode_chunk, wrap
+from arpd.relay.envelope import WRAP, Chunk, encode_chunk
 from arpd.relay.flight import Sign, encode_sign
+from arpd.ros.cdr import wrap
 from arpd.ros.graph_view import GraphView
 from tests.ros.world import DOMAIN, REPO, Ros
 

@@ -17,7 +17,8 @@ from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
 from arpd.relay.calls import Kind, Record
-from arpd.relay.envelope import decode_chunk, wrap
+from arpd.relay.envelope import decode_chunk
+from arpd.ros.cdr import wrap
 from tests.ros.ends_world import RELIABLE, Stranger, listen
 
 

@@ -12,6 +12,7 @@ from arpd.host.interface import InterfaceReader
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
+from arpd.ros.cdr import wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe, encode_report
@@ -64,7 +65,7 @@ def test_a_train_is_measured_and_a_ping_answered_at_once(daemon, ros, eventually
         number = next(numbers)
         for index in range(packets):
             header = ProbeHeader(train=number, index=index, packets=packets, quiet_s=0.25)
-            probes.publish(encode_probe(header, payload_bytes=SIZE))
+            probes.publish(wrap(encode_probe(header, payload_bytes=SIZE)))
             time.sleep(0.001)  # no link disperses these, and packets that arrive together are no train
         return number
 
@@ -110,7 +111,7 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
     report = Receiver("base", 0.0).report(1.0, rx_bytes=0, rx_packets=0)
     eventually("the daemon hears reports", reports.get_subscription_count)
     for last_probe in (0, 0, 4711):
-        reports.publish(encode_report(replace(report, last_probe=last_probe)))
+        reports.publish(wrap(encode_report(replace(report, last_probe=last_probe))))
     refused = eventually("one is refused", lambda: daemon.observe().refused)
     assert refused == {(MessageKind.REPORTS, MessageRefusal.UNANSWERED): 1}
 
@@ -121,7 +122,7 @@ def test_a_peer_too_many_is_refused_though_it_answers_no_probe(ros, eventually):
     report = Receiver("base", 0.0).report(1.0, rx_bytes=0, rx_packets=0)
     eventually("the daemon hears reports", reports.get_subscription_count)
     for peer in ("base", "liar"):
-        reports.publish(encode_report(replace(report, peer=peer)))
+        reports.publish(wrap(encode_report(replace(report, peer=peer))))
     refused = eventually("one is refused", lambda: daemon.observe().refused)
     assert refused == {(MessageKind.REPORTS, MessageRefusal.QUOTA): 1}
 

@@ -172,7 +172,7 @@ def test_a_topic_has_one_publisher_in_a_node(node, publisher):
     """A second one is refused and leaves no writer; once the first is destroyed, another one may follow."""
     with pytest.raises(ValueError, match="already has an AdaptivePublisher"):
         AdaptivePublisher(node, String, TOPIC, 10)
-    assert writers_of(node) == [publisher, publisher._flow.writer.publisher]
+    assert writers_of(node) == [publisher, publisher._flow.swap.current.publisher]
     publisher.destroy()
     assert not writers_of(node)
     other = AdaptivePublisher(node, String, TOPIC, 99)
@@ -359,8 +359,8 @@ def test_a_publisher_that_keeps_all_gets_no_writer_for_a_depth(ros, eventually):
     """With KEEP_ALL a new depth makes no swap, a new deadline makes one, and the plan is confirmed."""
     publisher = AdaptivePublisher(ros.node("talker"), String, "/all", QoSProfile(history=QoSHistoryPolicy.KEEP_ALL))
     publisher.retune(TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
-    assert not publisher._flow._swap.is_busy
+    assert not publisher._flow.swap.is_busy
     publisher.retune(REFUSED_ROW)
     eventually("the plan is confirmed", lambda: is_confirmed(publisher.state(), REFUSED_ROW))
-    eventually("the swap ends", lambda: not publisher._flow._swap.is_busy)
+    eventually("the swap ends", lambda: not publisher._flow.swap.is_busy)
     assert sum(publisher.state().swaps_by_result.values()) == 1

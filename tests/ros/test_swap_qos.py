@@ -83,7 +83,7 @@ def test_the_application_does_not_hear_of_the_second_writer(ros, eventually):
     for depth in (20, 30):
         retune(publisher, depth=depth)
         eventually("the new depth is in force", lambda depth=depth: publisher.state().depth == depth)
-    eventually("the last swap ends", lambda: not publisher._flow._swap.is_busy)
+    eventually("the last swap ends", lambda: not publisher._flow.swap.is_busy)
     ros.node("second").create_subscription(String, TOPIC, lambda _message: None, 10)
     eventually("the second reader is heard of", lambda: len(matched) > 1)
     assert [event.current_count for event in matched] == [1, 2]
@@ -98,10 +98,10 @@ def test_only_the_writer_in_force_misses_deadlines(ros, monkeypatch, eventually)
     eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
     publisher.publish(String(data="0"))
     eventually("the silent writer misses deadlines", lambda: len(events) > 1)
-    old, asked = publisher._flow.writer, []
+    old, asked = publisher._flow.swap.current, []
     monkeypatch.setattr(old, "is_acknowledged", lambda: False)  # so that it drains
     monkeypatch.setattr(
-        old, "_in_force", lambda: asked.append(old is not publisher._flow.writer) or publisher._flow.writer
+        old, "_in_force", lambda: asked.append(old is not publisher._flow.swap.current) or publisher._flow.swap.current
     )
     before = publisher.state().deadlines_missed
     retune(publisher, depth=20, deadline_ns=60_000_000_000)
@@ -132,7 +132,8 @@ def test_a_swap_knows_whether_its_readers_acknowledge_and_what_the_link_loses(
         node.create_subscription(String, TOPIC, lambda _message: None, profile)
     publisher = make(ros.node("talker"), qos[writes])
     publisher.set_price(replace(FREE, loss_ratio=0.25))
-    assert publisher._flow._swap.loss_ratio == 0.25
+    publisher._flow._step(0.0)
+    assert publisher._flow.swap.loss_ratio == 0.25
     eventually("both readers match", lambda: publisher.get_subscription_count() == 2)
     eventually("the graph shows both", lambda: len(publisher._requests.names()) == 2)
-    assert publisher._flow.writer.readers_acknowledge() == can_prove
+    assert publisher._flow.swap.current.readers_acknowledge() == can_prove

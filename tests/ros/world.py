@@ -3,7 +3,6 @@
 import math
 import threading
 import time
-from array import array
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +15,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.price import Price
 from arpd.ros.attached import attached
+from arpd.ros.cdr import wrap
 from arpd.ros.documents import pack, unpack
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.nodes import Nodes
@@ -99,7 +99,7 @@ class Plans:
         if spoilt:
             plan = unpack(data, most_bytes=2**20)
             data = pack({**plan, "rows": {**plan["rows"], **spoilt}})
-        self._publisher.publish(UInt8MultiArray(data=array("B", data)))
+        self._publisher.publish(wrap(data))
 
 
 def retune(publisher, **changes):

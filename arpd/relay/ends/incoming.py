@@ -8,7 +8,6 @@ import time
 from collections import Counter, deque
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import NameValidationException
@@ -180,14 +179,7 @@ class Incoming:
             local, depth = self._side.local_name(name), self._depth(name, writer, kind)
             made = self._nodes.give(
                 self._side.local_name(writer.node),
-                partial(
-                    GhostWriter,
-                    msg_type=kind,
-                    topic=local,
-                    offer=writer,
-                    depth=depth,
-                    planned=planned,
-                ),
+                lambda node: GhostWriter(node, kind, local, writer, depth=depth, planned=planned),
             )
             ghost = self._ghosts[key] = _Ghost(made, name, offer)
         ghost.offer = offer

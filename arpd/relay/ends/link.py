@@ -11,8 +11,9 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.writing_thread import WritingThread
-from arpd.relay.envelope import Assembly, wrap
+from arpd.relay.envelope import Assembly
 from arpd.relay.link_queue import LinkQueue
+from arpd.ros.cdr import wrap
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 

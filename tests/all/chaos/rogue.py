@@ -13,6 +13,7 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.plan import PlanAnswer
 from arpd.model.probing import PeerReport, Train
+from arpd.ros.cdr import wrap
 from arpd.ros.documents import expand, pack
 from arpd.ros.names import PRICE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.ros.node_snapshot import LIKELY, LONGEST_SNAPSHOT, MOST_BYTES, encode_snapshot
@@ -26,10 +27,6 @@ draw = random.Random(1)
 HUGE = {"payload_bytes": 2.0**30, "source_rate_hz": 1e5}
 
 
-def message(data):
-    return serialize_message(UInt8MultiArray(data=data))
-
-
 def snapshot(node, *topics):
     states = [publisher(node, topic, **HUGE) for topic in topics]
     return encode_snapshot(node, states, answer=PlanAnswer(generation=2**53))
@@ -40,7 +37,7 @@ def report(name, number):
     message = PeerReport(
         peer=name, received_at_s=0.0, interval_s=0.1, rx_bytes=10**9, rx_packets=9, trains=trains, last_probe=number
     )
-    return serialize_message(encode_report(message))
+    return wrap(encode_report(message))
 
 
 def spoilt(data):
@@ -56,14 +53,14 @@ snapshots += [snapshot("/rogue", *(f"/own{k}" for k in range(250))), snapshot("/
 crowd = json.loads(expand(snapshots[-2], most_bytes=MOST_BYTES, likely=LIKELY))
 long = {name: (MOST_PUBLISHERS // 250 + 1) * values for name, values in crowd["publishers"].items()}
 snapshots += [pack({**crowd, "publishers": long}, likely=LIKELY), b"{}"]
-snapshots = [message(data) for data in snapshots]
+snapshots = [wrap(data) for data in snapshots]
 snapshots += [spoilt(draw.choice(snapshots)) for _ in range(100)]
-crowds = [message(snapshot(f"/crowd{k}", *(f"/of{k}/t{number}" for number in range(250)))) for k in range(WRITERS)]
-large = message(bytes(LONGEST_SNAPSHOT + 1))
+crowds = [wrap(snapshot(f"/crowd{k}", *(f"/of{k}/t{number}" for number in range(250)))) for k in range(WRITERS)]
+large = wrap(bytes(LONGEST_SNAPSHOT + 1))
 reports = [report("base", draw.randrange(2**32)) for _ in range(50)] + [report(f"liar{k}", k) for k in range(50)]
 reports += [spoilt(data) for data in reports]
 prices = [serialize_message(Float64MultiArray(data=numbers)) for numbers in ([1.0], 1000 * [1.0])]
-reports.append(serialize_message(UInt8MultiArray(data=bytes(4000))))
+reports.append(wrap(bytes(4000)))
 
 rclpy.init()
 node = rclpy.create_node("rogue")

@@ -26,7 +26,7 @@ def test_reading_the_count_leaks_no_memory(ros):  # noqa: F811 - the fixture
     """Twenty thousand reads of the count take next to no memory."""
     profile = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
     publisher = AdaptivePublisher(ros.node("talker"), String, "/silent", profile)
-    writer = publisher._flow.writer
+    writer = publisher._flow.swap.current
     before_bytes = resident_bytes()
     for _ in range(READS):
         writer.deadlines_missed()

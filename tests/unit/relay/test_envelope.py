@@ -16,8 +16,8 @@ from arpd.relay.envelope import (
     encode_chunk,
     pack,
     unpack,
-    wrap,
 )
+from arpd.ros.cdr import wrap
 
 NUMBERS = st.integers(0, WRAP - 1)
 RECORDS = st.builds(

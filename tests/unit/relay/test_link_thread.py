@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.relay.ends.link import LinkThread
-from arpd.relay.envelope import wrap
+from arpd.ros.cdr import wrap
 
 
 def test_of_the_states_that_wait_for_the_link_the_newest_leaves(eventually):

@@ -6,10 +6,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from rclpy.serialization import serialize_message
-
 from arpd.estimate.receiver import QUIET_S
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.ros.cdr import octets, wrap
 from arpd.ros.peer import Peer, default_name
 from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
 from arpd.ros.raw_reader import Sample
@@ -24,7 +23,7 @@ class World:
         self._peer = Peer(self._publish, reader=self, name="base-3f2a", clock=lambda: self.now_s)
 
     def _publish(self, message):
-        self.reports.append(decode_report(bytes(message.data)))
+        self.reports.append(decode_report(octets(message)))
 
     def read(self):
         packets, nothing = round((self.now_s - 100.0) * 100), dict.fromkeys(("tx_bytes", "tx_packets", "tx_dropped"), 0)
@@ -36,7 +35,7 @@ class World:
         self.reports.clear()
         for _ in range(round(seconds * 10)):
             header = ProbeHeader(train=next(self._numbers), index=0, packets=1)
-            data, at_ns = serialize_message(encode_probe(header, payload_bytes=1200)), round(self.now_s * 1e9)
+            data, at_ns = wrap(encode_probe(header, payload_bytes=1200)), round(self.now_s * 1e9)
             self._peer.hear(Sample(data, b"writer", header.train, at_ns - 3_000_000, at_ns))
             until_s = self.now_s + 0.1
             while (due_s := self._peer.step()) <= until_s:

@@ -21,7 +21,7 @@ class Node:
         return self
 
     def publish(self, message):
-        self.messages.append(bytes(message.data))
+        self.messages.append(message)
 
     def destroy_publisher(self, _publisher):
         self.messages.clear()
