@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import sys
+from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
@@ -17,7 +18,7 @@ from arpd import __version__
 from arpd.model.errors import GET_ROS, ArpdError, ConfigError, NoAnswerError, RosUnavailableError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from arpd.cli.options import Command
 
@@ -98,27 +99,16 @@ def _write_plainly() -> None:
 
 
 def run_executable() -> int:
-    """Run the command that an executable of ROS 2 is named after: `ros2 run arpd relay` is `arpd relay`."""
-    command, *arguments = sys.argv
-    return main([Path(command).name, *_without_ros_arguments(arguments)])
+    """Run the command that an executable of ROS 2 is named after: `ros2 run arpd relay` is `arpd relay`.
 
-
-def _without_ros_arguments(arguments: Iterable[str]) -> list[str]:
-    """Return the arguments without those between ``--ros-args`` and ``--`` or the end.
-
-    A launch file's Node gives them to every process, and `ros2 run` to the process of a user who adds some. rclpy reads
-    them from the process itself.
+    A launch file's Node gives each process ``--ros-args``, which rclpy reads from the process itself.
     """
-    own: list[str] = []
-    is_ours = True
-    for argument in arguments:
-        if argument == "--ros-args":
-            is_ours = False
-        elif is_ours:
-            own.append(argument)
-        else:
-            is_ours = argument == "--"
-    return own
+    command, *arguments = sys.argv
+    with suppress(Exception):  # argparse refuses what ROS cannot read
+        from rclpy.utilities import remove_ros_args
+
+        arguments = remove_ros_args(arguments)
+    return main([Path(command).name, *arguments])
 
 
 def _incomplete(package: str, error: ImportError) -> str:
