@@ -162,6 +162,10 @@ class Lane:
             return self.rate_hz * self.price.cost_s(self.plan)
         return None if self.offered_rate.samples else 0.0
 
+    def may_conflate(self, message: bytes) -> bool:
+        """Return whether a message waits for its share of the link, where a newer one may replace it."""
+        return len(message) > SMALL_BYTES and self.price is not None and not self._is_ordered
+
     @property
     def is_small(self) -> bool:
         """Whether the next message leaves whole, before all large ones."""

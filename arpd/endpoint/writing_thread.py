@@ -138,7 +138,13 @@ class WritingThread:
             self._wake_for_queue()
 
     def publish(self, lane: Lane, message: bytes) -> None:
-        """Write a message in this thread if it may leave now, after the one that another thread is writing."""
+        """Write a message in this thread if it may leave now, after the one that another thread is writing.
+
+        A large one is left to the other thread: a full link would hold the caller, and its executor, until it is out.
+        """
+        if lane.may_conflate(message) and not lane.is_closing and self._thread.is_alive():
+            self.offer(lane, message)
+            return
         now_s = self._clock()
         with self._lock:
             if lane.claimant is not None and not self._is_deciding:

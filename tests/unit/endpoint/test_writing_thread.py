@@ -10,13 +10,15 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.endpoint import writing_thread
-from arpd.endpoint.lane import Lane
+from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
+from arpd.model.price import Price
 from arpd.ros.rcl import InvalidHandle
 from tests.waiting import eventually
 
 LONG_S = 5.0
+LARGE = bytes(SMALL_BYTES)  # behind a first byte
 
 
 def make(warn=print, **options):
@@ -72,6 +74,24 @@ def test_who_publishes_all_the_time_cannot_keep_a_lane():
     for each in publishing:
         each.join(LONG_S)
         assert not each.is_alive()
+
+
+def test_a_link_that_is_full_of_a_picture_holds_no_caller():
+    """Under a price a large sample is written in arpd's thread: a camera's callback goes on while it leaves."""
+    written, is_free = [], threading.Event()
+    thread, lane = make(), Lane(lambda sample: written.append(sample[:1]) or is_free.wait(LONG_S))
+    thread.add(lane)
+    thread.retune(lane, lane.plan, Price(share_per_weight=math.inf, capacity_bytes_per_second=1e9))
+    thread.start()
+    for number in b"abc":
+        thread.publish(lane, bytes([number]) + LARGE)
+        eventually("the first one leaves", lambda: written)
+    is_free.set()
+    eventually("the newest one follows", lambda: written == [b"a", b"c"])
+    thread.remove(lane)
+    with pytest.raises(InvalidHandle):
+        thread.publish(lane, LARGE + b"d")
+    thread.stop()
 
 
 @pytest.mark.parametrize("interrupted", ["first_s", "begin", "admit"])
