@@ -8,24 +8,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    PlainValidator,
-    ValidationError,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import PlainValidator, TypeAdapter, ValidationInfo
 
-from arpd.host.config.yaml_source import Fault, YamlSource, dotted, read_bounded
+from arpd.host.config.keys import sections_of
+from arpd.host.config.load import validated
+from arpd.host.config.yaml_source import YamlSource, read_bounded
 from arpd.model.quantities import printable
+from arpd.model.settings import Section
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from pydantic_core import ErrorDetails
 
     from arpd.model.settings import HttpSettings
 
@@ -76,14 +70,11 @@ def _clients(raw: Any) -> ssl.VerifyMode:
     return _CLIENTS[raw]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
 _File = Annotated[Path, PlainValidator(_file)]
 
 
-class TlsServer(_Section):
+@dataclass(frozen=True, kw_only=True)
+class TlsServer(Section):
     """``tls_server_config``."""
 
     cert_file: _File
@@ -91,15 +82,14 @@ class TlsServer(_Section):
     client_auth_type: Annotated[ssl.VerifyMode, PlainValidator(_clients)] = ssl.CERT_NONE
     client_ca_file: _File | None = None
 
-    @model_validator(mode="after")
-    def _agrees(self) -> Self:
+    def __post_init__(self) -> None:
+        """Refuse files that do not fit, and those that are no certificates."""
         if bool(self.client_auth_type) != bool(self.client_ca_file):
             raise ValueError(
                 "client_ca_file needs a client_auth_type that asks for certificates, and one that asks needs the file; "
                 "write both or neither"
             )
-        _ = self.context  # which refuses files that are no certificates
-        return self
+        _ = self.context
 
     @cached_property
     def context(self) -> ssl.SSLContext:
@@ -121,11 +111,18 @@ class TlsServer(_Section):
         return context
 
 
-class WebDocument(_Section):
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WebDocument(Section):
     """The whole file."""
 
     tls_server_config: TlsServer | None = None
-    basic_auth_users: dict[Annotated[str, PlainValidator(_name)], Annotated[str, PlainValidator(_hash)]] = {}
+    basic_auth_users: dict[Annotated[str, PlainValidator(_name)], Annotated[str, PlainValidator(_hash)]] = field(
+        default_factory=dict
+    )
+
+
+_FILE = TypeAdapter(WebDocument)
+_SECTIONS = sections_of(_FILE.json_schema())
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -165,16 +162,9 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
         return Protection()
     path = directory / http.web_config
     source = YamlSource(path, minimal=_MINIMAL)
-    faults: list[Fault] = []
-    document = WebDocument()
     if source.data.get("tls_server_config", ...) is None:
-        faults.append(source.fault(("tls_server_config",), "has no value; give it keys or leave it out"))
-    try:
-        document = WebDocument.model_validate(source.data, context={"directory": path.parent})
-    except ValidationError as error:
-        faults += (_reworded(details, source) for details in error.errors(include_url=False, include_input=False))
-    if faults:
-        raise source.error(faults)
+        raise source.error([source.fault(("tls_server_config",), "has no value; give it keys or leave it out")])
+    document = validated(_FILE, source.data, source, sections=_SECTIONS, context={"directory": path.parent})
     tls = document.tls_server_config
     files = (path, tls.cert_file, tls.key_file, tls.client_ca_file) if tls else (path,)
     return Protection(
@@ -182,22 +172,6 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
         users=MappingProxyType({name.encode(): h.encode() for name, h in document.basic_auth_users.items()}),
         files=tuple(filter(None, files)),
     )
-
-
-def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
-    location = tuple(step for step in details["loc"] if step != "[key]")
-    match details["type"]:
-        case "extra_forbidden":
-            known = (TlsServer if len(location) > 1 else WebDocument).model_fields
-            text = f"is not a key of a web-config that arpd supports; known here: {', '.join(known)}"
-            return Fault(place=source.keys[location], key=dotted(location), text=text)
-        case "missing":
-            text = "is missing; TLS needs a certificate and its key"
-        case "value_error":
-            text = str(details["ctx"]["error"])
-        case _:
-            text = "is not a mapping; give it keys or leave it out"
-    return source.fault(location, text)
 
 
 def _no_passphrase() -> str:

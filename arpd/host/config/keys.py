@@ -1,4 +1,4 @@
-"""The keys of arpd.yaml, as `Settings` declares them."""
+"""The keys of a file: those of arpd.yaml, as `Settings` declares them, and of any other that has sections."""
 
 from __future__ import annotations
 
@@ -14,35 +14,41 @@ if TYPE_CHECKING:
 
     from arpd.host.config.yaml_source import Location
 
+Sections: TypeAlias = dict[tuple[str, ...], dict[str, Any]]
 Written: TypeAlias = str | float | list[str]  # a value as the file has it
 SETTINGS = TypeAdapter(Settings)
 SCHEMA = SETTINGS.json_schema()
 
 
-def _sections(schema: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+def sections_of(schema: dict[str, Any]) -> Sections:
+    """Return the keys of every section by its location, without positions in lists, each with its JSON schema."""
+    return dict(_sections(schema, schema["$defs"], ()))
+
+
+def _sections(schema: dict[str, Any], definitions: dict[str, Any], path: tuple[str, ...]) -> Iterator[Any]:
     schema = schema.get("items", schema)
-    schema = SCHEMA["$defs"][schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+    schema = next((each for each in schema.get("anyOf", ()) if "$ref" in each), schema)
+    schema = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
     if keys := {name: key for name, key in schema.get("properties", {}).items() if not name.startswith("_")}:
         yield path, keys
         for name, key in keys.items():
-            yield from _sections(key, (*path, name))
+            yield from _sections(key, definitions, (*path, name))
 
 
-# The keys of every section by its location, without positions in lists, each with its JSON schema.
-SECTIONS = dict(_sections(SCHEMA))
+SECTIONS = sections_of(SCHEMA)
 
 
-def keys_at(location: Location) -> dict[str, Any]:
+def keys_at(location: Location, sections: Sections) -> dict[str, Any]:
     """Return the keys of the section there; none if there is no section."""
-    return SECTIONS.get(tuple(step for step in location if isinstance(step, str)), {})
+    return sections.get(tuple(step for step in location if isinstance(step, str)), {})
 
 
-def nearest(location: Location) -> str:
+def nearest(location: Location, sections: Sections) -> str:
     """Suggest a key that looks like the wrong one, or list the known keys."""
-    wrong, here = str(location[-1]), keys_at(location[:-1])
+    wrong, here = str(location[-1]), keys_at(location[:-1], sections)
     if near := difflib.get_close_matches(wrong[:100].lower(), here, n=1):
         return f"did you mean {near[0]}?"
-    if elsewhere := [".".join((*path, wrong)) for path, keys in SECTIONS.items() if wrong in keys]:
+    if elsewhere := [".".join((*path, wrong)) for path, keys in sections.items() if wrong in keys]:
         return f"did you mean {elsewhere[0]}?"
     return f"known here: {', '.join(here)}"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
-from arpd.host.config.keys import SETTINGS, keys_at, nearest
+from arpd.host.config.keys import SECTIONS, SETTINGS, keys_at, nearest
 from arpd.host.config.rules import broken_rules
 from arpd.host.config.yaml_source import Fault, YamlSource, dotted
 from arpd.model.quantities import printable
@@ -17,10 +17,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
+    from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
 
+    from arpd.host.config.keys import Sections
     from arpd.host.config.yaml_source import Location
     from arpd.model.settings import Settings
+
+T = TypeVar("T")
 
 
 def load_settings(
@@ -41,18 +45,25 @@ def load_settings(
         With every fault of the file, in its order.
     """
     source = YamlSource(path)
-    try:
-        settings = SETTINGS.validate_python(source.data)
-        # An entry of `topics` has the defaults of the file for what it leaves out, without the floor.
-        shared = {key: value for key, value in source.data.get("defaults", {}).items() if key != "min_rate_hz"}
-        topics = [shared | topic for topic in source.data.get("topics", ())]
-        settings = SETTINGS.validate_python(source.data | {"topics": topics})
-    except ValidationError as error:
-        raise source.error(_reworded(each, source) for each in error.errors(include_url=False)) from None
+    validated(SETTINGS, source.data, source)
+    # An entry of `topics` has the defaults of the file for what it leaves out, without the floor.
+    shared = {key: value for key, value in source.data.get("defaults", {}).items() if key != "min_rate_hz"}
+    topics = [shared | topic for topic in source.data.get("topics", ())]
+    settings = validated(SETTINGS, source.data | {"topics": topics}, source)
     known = interfaces() if interfaces else None
     if broken := list(broken_rules(settings, source, interfaces=known, local_domain=local_domain)):
         raise source.error(broken)
     return settings
+
+
+def validated(
+    adapter: TypeAdapter[T], data: Any, source: YamlSource, *, sections: Sections = SECTIONS, context: Any = None
+) -> T:
+    """Return what the data of a file mean, or raise ConfigError with all that is wrong with single keys and values."""
+    try:
+        return adapter.validate_python(data, context=context)
+    except ValidationError as error:
+        raise source.error(_reworded(each, source, sections) for each in error.errors(include_url=False)) from None
 
 
 def in_force(old: Settings, new: Settings) -> Settings:
@@ -68,23 +79,24 @@ def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
         return None
 
 
-def _reworded(details: ErrorDetails, source: YamlSource) -> Fault:
+def _reworded(details: ErrorDetails, source: YamlSource, sections: Sections) -> Fault:
     location: Location = details["loc"]
     match details["type"]:
         case "unexpected_keyword_argument":
-            return Fault(source.keys[location], dotted(location), f"unknown key; {nearest(location)}")
+            return Fault(source.keys[location], dotted(location), f"unknown key; {nearest(location, sections)}")
         case "missing":
             text = f"is missing; add `{location[-1]}:`"
         case "tuple_type":
             text = "is not a list; write a list, or [] for none"
         case "too_short":
             text = f"has too few items; give it {details['ctx']['min_length']} or more"
-        case "dataclass_type":
-            text = f"is not a mapping; give it keys ({', '.join(keys_at(location))}) or leave it out"
+        case "dataclass_type" | "dict_type":
+            text = f"is not a mapping; give it keys ({', '.join(keys_at(location, sections)) or '…'}) or leave it out"
         case _ if details["input"] is None:
             text = "has no value; write one, or leave the key out"
         case "value_error":
             text = str(details["ctx"]["error"])
+            location = location[:-1] if location[-1] == "[key]" else location  # pydantic's mark of a name in a mapping
         case _:
             shown = printable(str(details["input"]))
             text = f"{shown} does not fit; {details['msg'].replace('Input', 'it').replace('String', 'it')}"

@@ -58,7 +58,7 @@ TLS = "tls_server_config: {cert_file: server.crt, key_file: server.key"
 @pytest.mark.parametrize(
     ("text", "place", "words"),
     [
-        ("tls_servr_config: {}", "1:1: tls_servr_config", "known here: tls_server_config, basic_auth_users"),
+        ("tls_servr_config: {}", "1:1: tls_servr_config", "did you mean tls_server_config?"),
         ("tls_server_config: {key_file: server.key}", "1:20: tls_server_config.cert_file", "is missing"),
         ("tls_server_config:", "1:19: tls_server_config", "has no value"),
         (f"{TLS}, key: x}}", "1:66: tls_server_config.key", "known here: cert_file, key_file, client_auth_type"),
