@@ -22,7 +22,7 @@ from arpd.web.passwords import Passwords, PasswordVerdict
 from arpd.web.web_config import Protection, load_protection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
     from pathlib import Path
 
     from tornado.httputil import HTTPServerRequest
@@ -83,16 +83,17 @@ class Access:
         self.counts = counts
         self._fault = ""
         self.protection = load_protection(http, directory=directory)
-        self._stamps = _stamps(self.protection.files)
+        self._file = [directory / http.web_config] if http.web_config else []
+        self._stamps = self._seen()
         self._passwords = Passwords(clock=time.monotonic, secret=os.urandom(32))
         self._naming = asyncio.Lock()
 
     async def refusal(self, request: HTTPServerRequest) -> HTTPStatus | None:
         """Return why a request without the right name or password is refused, None for one that may be answered."""
         protection = self.protection
-        if protection.users:
+        if protection.basic_auth_users:
             given = request.headers.get("Authorization", "").encode("latin-1", "replace")
-            verdict = await self._passwords.judge(protection.users, given, client_of(str(request.remote_ip)))
+            verdict = await self._passwords.judge(protection.basic_auth_users, given, client_of(str(request.remote_ip)))
             self.counts.authentications.labels(verdict).inc()
             return _REFUSALS.get(verdict)
         if protection.tls is None and not await self._is_own_name(request.host):
@@ -117,7 +118,7 @@ class Access:
 
     def follow(self) -> bool:
         """Read the files again if they have changed; return True if there is another protection in force."""
-        stamps = _stamps(self.protection.files)  # taken before reading, so that a later change is read again
+        stamps = self._seen()  # taken before reading, so that a later change is read again
         if stamps == self._stamps and not self._fault:  # a file that a broken web-config names may appear
             return False
         self._stamps = stamps
@@ -133,17 +134,20 @@ class Access:
         if fault:
             return False
         log.info("http.web_config has changed and is in force")
-        if protection.files != self.protection.files:
-            self._stamps = _stamps(protection.files)
-        self.protection = protection
+        is_elsewhere, self.protection = protection.files != self.protection.files, protection
+        if is_elsewhere:
+            self._stamps = self._seen()
         return True
+
+    def _seen(self) -> list[tuple[int, int, int] | None]:
+        return [*map(_stamp, (*self._file, *self.protection.files))]
 
 
 def exposure(addresses: Iterable[str], protection: Protection) -> str:
     """Return the risk of listening on IP addresses, empty if there is none."""
     if all(ipaddress.ip_address(each.partition("%")[0]).is_loopback for each in addresses):
         return ""
-    if not (protection.users or protection.requires_certificate):
+    if not (protection.basic_auth_users or protection.requires_certificate):
         return "anyone who reaches it can read it; add users or require client certificates in http.web_config"
     if protection.tls is None:
         return "passwords cross the network unencrypted; add tls_server_config to http.web_config"
@@ -166,7 +170,7 @@ def client_of(address: str) -> str:
 def _opened(old: Protection, new: Protection) -> str:
     for key, before, after in (
         ("tls_server_config", old.tls, new.tls),
-        ("basic_auth_users", old.users, new.users),
+        ("basic_auth_users", old.basic_auth_users, new.basic_auth_users),
         ("client_auth_type", old.requires_certificate, new.requires_certificate),
     ):
         if bool(before) and not after:
@@ -174,11 +178,8 @@ def _opened(old: Protection, new: Protection) -> str:
     return ""
 
 
-def _stamps(files: Sequence[Path]) -> list[tuple[int, int, int] | None]:
-    def stamp(file: Path) -> tuple[int, int, int] | None:
-        with suppress(OSError):
-            status = file.stat()
-            return status.st_mtime_ns, status.st_size, status.st_ino
-        return None
-
-    return [*map(stamp, files)]
+def _stamp(file: Path) -> tuple[int, int, int] | None:
+    with suppress(OSError):
+        status = file.stat()
+        return status.st_mtime_ns, status.st_size, status.st_ino
+    return None

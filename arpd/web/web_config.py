@@ -7,7 +7,6 @@ import ssl
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from pydantic import PlainValidator, TypeAdapter, ValidationInfo
@@ -19,8 +18,6 @@ from arpd.model.quantities import printable
 from arpd.model.settings import Section
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from arpd.model.settings import HttpSettings
 
 MAX_COST = 14  # each step doubles the time of bcrypt; 14 takes seconds on a Pi
@@ -34,20 +31,20 @@ _CLIENTS = {
 }
 
 
-def _hash(raw: Any) -> str:
+def _hash(raw: Any) -> bytes:
     """Accept a bcrypt hash; no message shows it, because it is a secret."""
     match = _HASH.fullmatch(raw) if isinstance(raw, str) else None
     if match is None:
         raise ValueError(f"is not a bcrypt hash; {_MAKE_HASH}")
     if not 4 <= int(match[1]) <= MAX_COST:
         raise ValueError(f"has bcrypt cost {match[1]}, arpd takes 4..{MAX_COST}; {_MAKE_HASH}")
-    return match[0]
+    return match[0].encode()
 
 
-def _name(raw: str) -> str:
+def _name(raw: str) -> bytes:
     if not raw or ":" in raw:
         raise ValueError("cannot be a name (RFC 7617); write one without a colon")
-    return raw
+    return raw.encode()
 
 
 def _file(raw: Any, info: ValidationInfo) -> Path:
@@ -111,39 +108,34 @@ class TlsServer(Section):
         return context
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class WebDocument(Section):
-    """The whole file."""
+@dataclass(frozen=True, kw_only=True)
+class Protection(Section):
+    """The whole file: what is required of connections, which is nothing without it."""
 
     tls_server_config: TlsServer | None = None
-    basic_auth_users: dict[Annotated[str, PlainValidator(_name)], Annotated[str, PlainValidator(_hash)]] = field(
-        default_factory=dict
+    basic_auth_users: dict[Annotated[bytes, PlainValidator(_name)], Annotated[bytes, PlainValidator(_hash)]] = field(
+        default_factory=dict, repr=False
     )
 
-
-_FILE = TypeAdapter(WebDocument)
-_SECTIONS = sections_of(_FILE.json_schema())
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Protection:
-    """Requirements on connections.
-
-    Parameters
-    ----------
-    tls : context that wraps connections, None = plain
-    users : name → bcrypt hash, empty = no authentication
-    files : files that all this was read from
-    """
-
-    tls: ssl.SSLContext | None = None
-    users: Mapping[bytes, bytes] = field(default_factory=lambda: MappingProxyType({}), repr=False)
-    files: tuple[Path, ...] = ()
+    @property
+    def tls(self) -> ssl.SSLContext | None:
+        """What wraps connections, None = plain."""
+        return self.tls_server_config.context if self.tls_server_config else None
 
     @property
     def requires_certificate(self) -> bool:
         """True if a client needs a certificate of the CA."""
         return self.tls is not None and self.tls.verify_mode is ssl.CERT_REQUIRED
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that it names."""
+        tls = self.tls_server_config
+        return tuple(filter(None, (tls.cert_file, tls.key_file, tls.client_ca_file) if tls else ()))
+
+
+_FILE = TypeAdapter(Protection)
+_SECTIONS = sections_of(_FILE.json_schema())
 
 
 def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
@@ -164,14 +156,7 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
     source = YamlSource(path, minimal=_MINIMAL)
     if source.data.get("tls_server_config", ...) is None:
         raise source.error([source.fault(("tls_server_config",), "has no value; give it keys or leave it out")])
-    document = validated(_FILE, source.data, source, sections=_SECTIONS, context={"directory": path.parent})
-    tls = document.tls_server_config
-    files = (path, tls.cert_file, tls.key_file, tls.client_ca_file) if tls else (path,)
-    return Protection(
-        tls=tls.context if tls else None,
-        users=MappingProxyType({name.encode(): h.encode() for name, h in document.basic_auth_users.items()}),
-        files=tuple(filter(None, files)),
-    )
+    return validated(_FILE, source.data, source, sections=_SECTIONS, context={"directory": path.parent})
 
 
 def _no_passphrase() -> str:

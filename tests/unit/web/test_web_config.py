@@ -110,7 +110,7 @@ def test_the_shipped_example_is_only_comments_and_right(load):
     protection = load(live)
     assert protection.tls.minimum_version is ssl.TLSVersion.TLSv1_2
     assert protection.requires_certificate
-    assert [*protection.users.values()] == [HASH.encode()]
+    assert [*protection.basic_auth_users.values()] == [HASH.encode()]
     assert HASH not in repr(protection)
 
 
@@ -136,7 +136,7 @@ def test_users_and_certificates_are_read_again_when_they_change(access, folder):
     access.path.write_text(f"{BOTH}\nbasic_auth_users: {{bob: {HASH}}}")
     assert access.follow()
     second = access.access.protection
-    assert set(second.users) == {b"bob"}
+    assert set(second.basic_auth_users) == {b"bob"}
     for ending in ("crt", "key"):
         (folder / f"other.{ending}").rename(folder / f"server.{ending}")
     assert access.follow()
@@ -155,7 +155,7 @@ def test_a_broken_file_leaves_the_last_good_one_in_force(access, caplog):
     assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
     access.path.write_text(f"{BOTH}\nbasic_auth_users: {{carol: {HASH}}}")
     assert access.follow()
-    assert set(access.access.protection.users) == {b"carol"}
+    assert set(access.access.protection.basic_auth_users) == {b"carol"}
     assert access.is_good() == 1
 
 
@@ -176,4 +176,5 @@ def test_what_is_open_to_the_network_is_said(load):
     assert "anyone" in exposure(["127.0.0.1", "0.0.0.0"], Protection())
     assert "anyone" in exposure(["fe80::1%eth0"], tls)
     assert "unencrypted" in exposure(["::"], users)
-    assert exposure(["192.0.2.1"], clients) == exposure(["192.0.2.1"], replace(tls, users=users.users)) == ""
+    both = replace(tls, basic_auth_users=users.basic_auth_users)
+    assert exposure(["192.0.2.1"], clients) == exposure(["192.0.2.1"], both) == ""
