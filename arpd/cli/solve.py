@@ -16,7 +16,8 @@ from arpd.govern.plan import Wanted
 from arpd.host.config.load import load_settings
 from arpd.host.config.yaml_source import START, Fault, config_error
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.quantities import RATE, format_number, format_rate, format_share, format_size, printable
+from arpd.model.kinds import rate
+from arpd.model.quantities import format_number, format_rate, format_share, format_size
 from arpd.model.settings import Backend
 from arpd.report.wording import count
 from arpd.solve.backends import Solver
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
     Document = Mapping[str, Any]
 
-_SLOWEST, _FASTEST = "8kbit", "100gbit"  # as in the configuration
 _LEAST_HZ, _MOST = 0.001, 1_000_000  # of rates (Hz), topics and samples
 _TEXT = """\
 Without a configuration, solve Eq. (4) of Jalil & Kobayashi for one DEADLINE rate R and one DEPTH D that all N topics
@@ -153,12 +153,9 @@ binding: {binding}; solved by {backend}""".format(
 
 def _solve_topics(options: argparse.Namespace) -> int:
     try:
-        capacities = [RATE.parse(rate) for rate in options.capacity.split(",")]
+        capacities = [rate("8kbit", "100gbit").read(word) for word in options.capacity.split(",")]
     except ValueError as error:
         raise UsageError(f"--capacity: {error}") from None
-    if min(capacities) < RATE.parse(_SLOWEST) or max(capacities) > RATE.parse(_FASTEST):
-        wrong = printable(options.capacity)
-        raise UsageError(f"--capacity: '{wrong}' is out of range; write {_SLOWEST} to {_FASTEST}")
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer
     if options.backend:
         settings = replace(settings, program=replace(settings.program, backend=Backend(options.backend)))
