@@ -93,7 +93,6 @@ class NodePublishers:
         self.relay: Callable[[], RelaySummary] | None = None
         self._publishers: dict[str, Paced] = {}
         self._warned: set[str] = set()  # topics that make others wait
-        self._has_left_out = False  # publishers that no snapshot has room for
         self._rows: Mapping[str, Any] = {}  # of the plan in force, also of topics that are not there yet
         self._answer = NO_PLAN
         self._heard_s = -math.inf  # last sign of the daemon
@@ -186,18 +185,12 @@ class NodePublishers:
         for publisher in self._publishers.values():
             with suppress(InvalidHandle):  # another thread has just destroyed it
                 states.append(publisher.state())
-        told, left_out = states[:MOST_PUBLISHERS], states[MOST_PUBLISHERS:]
-        if left_out and not self._has_left_out:
-            self._node.get_logger().warning(
-                f"{len(states)} publishers in one node: arpd manages {MOST_PUBLISHERS} at most, and not "
-                f"{left_out[0].topic}, for example"
-            )
-        self._has_left_out = bool(left_out)
+        told = states[:MOST_PUBLISHERS]  # the daemon names the node of the others
         self._warn_of_large(states)
         message = encode_snapshot(
             self._name,
             told,
-            left_out=len(left_out),
+            left_out=len(states) - len(told),
             answer=self._answer,
             lacks_profile=self._lacks_profile,
             relay=self.relay and self.relay(),

@@ -22,7 +22,7 @@ from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging
 from arpd.host.kernel import link_interface, own_address
-from arpd.host.notify import Notifier, Watchdog
+from arpd.host.notify import Notifier
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
 from arpd.relay.ends.end import End
@@ -87,12 +87,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:
         parts = [lambda: min((each.finished_s for each in threads), default=math.inf)]  # there may be more later
-        heartbeat = Watchdog(notifier, parts=parts)
-        notifier.ready()
-        try:
-            serve_until(stopping, heartbeat=heartbeat, addresses=addresses, step=step, every_s=every_s)
-        finally:
-            notifier.stopping()
+        serve_until(stopping, notifier=notifier, parts=parts, addresses=addresses, step=step, every_s=every_s)
 
     name = node_name or default_node_name(platform.node(), is_far=is_far)
     if link is not None:

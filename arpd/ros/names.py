@@ -26,6 +26,13 @@ def is_arpds(node: str) -> bool:
     return node.startswith("/arpd")
 
 
+def checked_full_name(name: str) -> str:
+    """Return a full name; raises ValueError if `is_full_name` says that it is none."""
+    if not is_full_name(name):
+        raise ValueError("no full name of ROS")
+    return name
+
+
 def is_full_name(name: str) -> bool:
     """Return whether ROS allows this as the full name of a topic; arpd takes no longer one of a node, either."""
     return len(name) <= LONGEST_NAME and _FULL_NAME.fullmatch(name) is not None

@@ -71,11 +71,9 @@ class Nodes:
             node.is_real = before.is_real
         self._live = None
         self._look(node)
-        if node.is_real:  # what the graph never showed gives way to it
-            for other in [other for other, each in self._nodes.items() if not each.is_real]:
-                if self._room >= len(snapshot.publishers) and len(self._nodes) < MOST_NODES:
-                    break
-                del self._nodes[other]
+        if node.is_real and (self._room < len(snapshot.publishers) or len(self._nodes) >= MOST_NODES):
+            # What the graph never showed gives way.
+            self._nodes = {other: each for other, each in self._nodes.items() if each.is_real}
         if len(self._nodes) >= MOST_NODES:
             return False
         self._nodes[writer] = node

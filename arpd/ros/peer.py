@@ -8,6 +8,7 @@ import platform
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
 from arpd.host.kernel import interface_of_link, link_interface, own_address
-from arpd.host.notify import Notifier, Watchdog
+from arpd.host.notify import Notifier
 from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets, wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
@@ -69,13 +70,7 @@ class Peer:
             return
         self.probed_s = self._clock()
         self._receiver.on_probe(
-            train=header.train,
-            index=header.index,
-            packets=header.packets,
-            payload_bytes=len(packet),
-            sent_ns=sample.sent_ns,
-            received_ns=sample.received_ns,
-            quiet_s=header.quiet_s,
+            **asdict(header), payload_bytes=len(packet), sent_ns=sample.sent_ns, received_ns=sample.received_ns
         )
         self._due_s = min(self._due_s, self._receiver.schedule.due_s)
 
@@ -167,13 +162,12 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
     with control_node("arpd_peer", link, own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
-        notifier.ready()
         status = ProbeStatus(lambda: f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
         serve_until(
             stopping,
-            heartbeat=Watchdog(notifier, parts=[lambda: thread.finished_s]),
+            notifier=notifier,
+            parts=[lambda: thread.finished_s],
             addresses=addresses,
             step=lambda: status.update(peer.probed_s),
         )
-        notifier.stopping()
     return 0

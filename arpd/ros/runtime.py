@@ -15,16 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
+from arpd.host.notify import Watchdog
 from arpd.model.errors import GET_ROS, LinkError, RosUnavailableError
 from arpd.model.wire import MOST_DOMAIN
 from arpd.ros.rmw import chosen_rmw
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator, MutableMapping
+    from collections.abc import Callable, Iterator, MutableMapping, Sequence
 
     from arpd.host.addresses import Addresses
-    from arpd.host.notify import Watchdog
+    from arpd.host.notify import Notifier
     from arpd.model.settings import LinkDomain
 
 log = logging.getLogger(__name__)
@@ -286,32 +287,38 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
 def serve_until(
     stopping: threading.Event,
     *,
-    heartbeat: Watchdog,
+    notifier: Notifier,
+    parts: Sequence[Callable[[], float]],
     addresses: Addresses,
     step: Callable[[], None] = lambda: None,
     every_s: float = _TURN_S,
 ) -> None:
-    """Run a service in this thread, with a watchdog, until ``stopping`` is set.
+    """Run a service in this thread, which systemd hears of, with a watchdog, until ``stopping`` is set.
 
     Raises LinkError if only a new process can use the link's address.
 
     Parameters
     ----------
+    parts : as `Watchdog` has them
     step : called again and again; where it fails, the watchdog is not fed
     every_s : time between two calls, a tenth of a second or more (s)
     """
-    due_s = -math.inf
-    while not stopping.is_set():
-        if (now_s := time.monotonic()) >= due_s:
-            due_s = now_s + every_s
-            try:
-                step()
-                heartbeat.beat()
-            except Exception:
-                log.exception("a step failed; the service continues")
-        if addresses.are_outdated():
-            raise addresses.error()
-        time.sleep(_TURN_S)  # Event.wait could hold the lock that the handler of a signal needs
+    heartbeat, due_s = Watchdog(notifier, parts=parts), -math.inf
+    notifier.ready()
+    try:
+        while not stopping.is_set():
+            if (now_s := time.monotonic()) >= due_s:
+                due_s = now_s + every_s
+                try:
+                    step()
+                    heartbeat.beat()
+                except Exception:
+                    log.exception("a step failed; the service continues")
+            if addresses.are_outdated():
+                raise addresses.error()
+            time.sleep(_TURN_S)  # Event.wait could hold the lock that the handler of a signal needs
+    finally:
+        notifier.stopping()
 
 
 def stop_on_signals(stopping: threading.Event) -> None:

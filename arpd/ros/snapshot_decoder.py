@@ -22,7 +22,7 @@ from arpd.model.endpoints import (
 from arpd.model.plan import MOST_GENERATION, NO_PLAN, PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.ros.documents import MOST_INTEGER, expand
-from arpd.ros.names import MOST_LEASE_S, is_full_name
+from arpd.ros.names import MOST_LEASE_S, checked_full_name
 from arpd.ros.node_snapshot import (
     LIKELY,
     MOST,
@@ -35,12 +35,6 @@ from arpd.ros.node_snapshot import (
 
 if TYPE_CHECKING:
     from enum import StrEnum
-
-
-def _checked_name(name: str) -> str:
-    if not is_full_name(name):
-        raise ValueError("no fully qualified ROS name")
-    return name
 
 
 def _unpaced_as_infinite(rates: list[float | None]) -> list[float]:
@@ -59,7 +53,7 @@ def _keyed_by(names: type[StrEnum]) -> tuple[Any, ...]:
     return Field(max_length=len(known)), AfterValidator(check)
 
 
-Name = Annotated[str, AfterValidator(_checked_name)]
+Name = Annotated[str, AfterValidator(checked_full_name)]
 Text = Annotated[str, AfterValidator(shown_words)]
 Count = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
 Seconds = Annotated[float, Field(ge=0.0, le=MOST_SECONDS)]

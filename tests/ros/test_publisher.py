@@ -257,15 +257,24 @@ def test_the_last_sample_leaves_at_the_end(ros, eventually, end):
     eventually("the last one arrives", lambda: received[-1] == "stop")
 
 
-def test_a_destroyed_node_leaves_nothing(ros):
-    """It has left the graph, and the participant's queue, when `destroy_node` returns."""
-    watcher, node = ros.idle_node("watcher"), ros.idle_node("short_lived")
-    publisher = AdaptivePublisher(node, String, TOPIC, 10)
-    AdaptivePublisher(node, String, "/other", 10)
-    publisher.retune(TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
+def test_a_destroyed_node_leaves_nothing_and_the_others(ros, publisher, background, eventually):
+    """It has left the graph and the queue when `destroy_node` returns; the daemon hears that at once, and others go on.
+
+    The thread of their participant serves them. The last snapshot has no publishers, so nobody waits for its silence.
+    """
+    watcher, node = Announced(ros.node("watcher")), ros.idle_node("short_lived")
+    for topic in (TOPIC, "/gone"):
+        gone = AdaptivePublisher(node, String, topic, 10)
+    assert gone._thread is publisher._thread
+    gone.retune(TopicPlan(rate_hz=100.0, min_rate_hz=1.0, deadline_ns=0, depth=40))
+    background(publish_at(publisher, 50))
+    eventually("all are known", lambda: len(watcher.states) == 3)
     node.destroy_node()
-    assert watcher.get_node_names() == ["watcher"]
-    assert publisher._thread.topics == 0
+    assert {*publisher._node.get_node_names()} == {"talker", "watcher"}
+    assert publisher._thread.topics == 1
+    eventually("it has no publishers", lambda: sorted(len(each.publishers) for each in watcher.snapshots) == [0, 1])
+    retune(publisher, depth=30)
+    eventually("the other node's writer is swapped", lambda: [state.depth for state in watcher.states] == [30])
 
 
 def test_one_failing_topic_does_not_stop_the_others(publisher, background, monkeypatch, eventually):
@@ -284,33 +293,6 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, background, monke
     eventually("it is tried again", lambda: len(failures) > 1)
     before = publisher.state().published
     eventually("twenty samples of the other topic leave", lambda: publisher.state().published >= before + 20)
-
-
-def test_a_node_that_is_destroyed_leaves_the_others(ros, publisher, background, eventually):
-    """The thread of a participant serves its other nodes when one is destroyed with its publishers."""
-    node = ros.node("short_lived")
-    gone = AdaptivePublisher(node, String, "/gone", 10)
-    assert gone._thread is publisher._thread
-    background(publish_at(publisher, 50))
-    node.destroy_node()
-    retune(publisher, depth=30)
-    eventually("another node's writer is swapped", lambda: publisher.state().depth == 30)
-    watcher = Announced(ros.node("watcher"))
-    eventually("the other node announces", lambda: [state.depth for state in watcher.states] == [30])
-    assert publisher._thread._thread.is_alive()
-
-
-def test_the_daemon_hears_at_once_that_a_node_is_destroyed(ros, eventually):
-    """The last snapshot of a node has no publishers, so nobody waits for its silence."""
-    watcher, node = Announced(ros.node("watcher")), ros.idle_node("short_lived")
-    AdaptivePublisher(node, String, TOPIC, 10)
-    eventually("it is known", lambda: watcher.states)
-    node.destroy_node()
-
-    def told():
-        return [len(snapshot.publishers) for snapshot in watcher.snapshots]
-
-    eventually("nothing is left", lambda: told() == [0])
 
 
 def test_overrides_given_at_the_start_are_the_application_s_own_qos(ros):

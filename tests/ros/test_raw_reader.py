@@ -60,24 +60,6 @@ def test_the_watchdogs_time_runs_for_one_sample_alone(connect, thread, eventuall
             gate.set()
 
 
-def test_it_asks_for_no_more_samples_than_were_announced(connect, thread, eventually, monkeypatch):
-    """Each sample is taken once, and hardly anybody asks for another one only to hear that there is none."""
-    taken, asked = [], []
-
-    def take(*arguments):
-        asked.append(real(*arguments))
-        return asked[-1]
-
-    real = thread._rcl.take
-    monkeypatch.setattr(thread._rcl, "take", take)
-    _, publisher = connect(taken.append)
-    for number in range(50):
-        publisher.publish(String(data=str(number)))
-    eventually("all samples are taken", lambda: len(taken) == 50)
-    assert asked.count(0) == 50
-    assert len(asked) < 60  # once when the reader begins, and once a second
-
-
 def test_a_sample_that_nobody_announces_is_taken_within_a_second(connect, eventually):
     """A count that is lost, or one too low, lets no sample wait for the next one."""
     is_busy, gate, taken = threading.Event(), threading.Event(), []

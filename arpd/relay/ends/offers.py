@@ -10,19 +10,13 @@ from pydantic import AfterValidator, FailFast, Field, TypeAdapter, ValidationErr
 
 from arpd.relay.envelope import WRAP
 from arpd.ros.documents import MOST_INTEGER, pack, unpack
-from arpd.ros.names import is_full_name
+from arpd.ros.names import checked_full_name
 
 VERSION = 7
 _STRANGE = "its message is not understood"
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 T = TypeVar("T")
 WriterClass: TypeAlias = tuple[bool, bool, int]  # of writers that one reader hears
-
-
-def _full_name(name: str) -> str:
-    if not is_full_name(name):
-        raise ValueError("no full name of ROS")
-    return name
 
 
 _Period = Annotated[int, Field(ge=0, le=MOST_INTEGER)]
@@ -74,7 +68,7 @@ class TopicOffer:
 
     type_name: str
     writers: Annotated[tuple[WriterOffer, ...], FailFast()]
-    link_name: Annotated[str, AfterValidator(_full_name)]
+    link_name: Annotated[str, AfterValidator(checked_full_name)]
     type_hash: str = ""
     planned_depth: Annotated[int, Field(ge=0, le=5000)] = 0
     planned_deadline_ns: _Period = 0

@@ -161,9 +161,7 @@ class LocalClient(_Endpoint):
         self._running = {number: call for number, call in self._running.items() if self._book.runs(call)}
 
     def destroy(self) -> None:
-        """Remove the client; its calls fail."""
-        for call in (*self._running.values(), *(call for call, _ in self._waiting)):
-            self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
+        """Remove the client; the end that asked fails its calls, because their service is not offered any more."""
         super().destroy()
         self._node.destroy_client(self._client)
 

@@ -144,15 +144,3 @@ def test_a_lane_that_a_thread_is_at_delays_no_other_one():
     robot.lanes["a"].claimant = None
     robot.serve()
     assert len(robot.left["a"]) == 1
-
-
-def test_who_publishes_writes_no_sample_of_another_topic():
-    """A thread takes its own sample where it is its turn, and leaves a picture that waits to the other thread."""
-    robot = Participant()
-    robot.topic("camera", plan(5.0))
-    robot.topic("imu", plan(100.0, SMALL))
-    robot.offer("camera")
-    robot.offer("imu", SMALL)
-    assert len(robot.queue.take_of(robot.lanes["imu"], robot.now_s)) == SMALL
-    assert len(robot.lanes["camera"]) == 1
-    assert len(robot.queue.take_of(robot.lanes["camera"], robot.now_s)) == LARGE

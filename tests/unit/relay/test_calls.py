@@ -135,18 +135,6 @@ def leaving(records):
     return kinds
 
 
-def test_calls_that_nobody_answers_take_no_memory_for_ever(monkeypatch):
-    """Of a server that never answers no more calls are kept than of another one."""
-    monkeypatch.setattr(calls, "MOST_CALLS", 10)
-    link = Link()
-    for _ in range(50):
-        link.call(timeout_s=0.1)
-        link.deliver()
-        link.wait(0.2)
-        link.deliver()
-    assert len(link.callee._calls) <= 11
-
-
 def test_calls_that_are_given_up_together_cost_few_bytes():
     """However many others wait, and none of them is given up with those."""
     link = Link()

@@ -70,18 +70,6 @@ def test_an_outage_is_noticed_in_time_and_ends_with_a_receipt(trip_s, trips, unc
     assert ends.now_s < ends.flight.out_s
 
 
-def test_an_idle_link_is_never_out():
-    """Silence while nothing is on its way is no outage, and what leaves after it has time to arrive."""
-    ends = Ends()
-    assert ends.now_s < ends.flight.out_s
-    ends.send()
-    ends.confirm(1)
-    ends.now_s += 86_400.0
-    assert ends.now_s < ends.flight.out_s
-    ends.send()
-    assert ends.now_s + 0.39 < ends.flight.out_s
-
-
 def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
     """After a restart of the other end sending goes on."""
     ends = Ends()

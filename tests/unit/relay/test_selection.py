@@ -86,16 +86,6 @@ def test_what_is_denied_never_crosses(settings, name):
     assert not any(answers(Side.of(denied, is_far=False), name))
 
 
-@given(SETTINGS, NAME)
-def test_a_hidden_name_crosses_as_a_part_of_an_action_only(settings, name):
-    """Hidden names pass no pattern of topics and services."""
-    without = RelaySettings(to_base=settings.to_base, to_robot=settings.to_robot, services=settings.services)
-    if "/_" in name:
-        assert not any(answers(Side.of(without, is_far=False), name))
-    if "/_" in name and any(answers(Side.of(settings, is_far=False), name)):
-        assert name.rpartition("/")[0].endswith("/_action")
-
-
 def test_names_outside_the_namespace_have_no_name_on_the_robot():
     """The other robots' topics on the base computer are not this robot's, whose names come back as they went."""
     robot, base = side(namespace="/r1"), side(is_far=True, namespace="/r1")

@@ -71,17 +71,6 @@ def test_a_node_for_which_there_is_little_room_keeps_what_it_made_first():
     assert (nodes.left_out, topics(nodes, 5.1)) == ({}, ["/d", "/a", "/b", "/c"])
 
 
-def test_inventions_give_way_to_what_the_graph_shows():
-    """When invented publishers fill all entries, a real node replaces them; real ones stay."""
-    nodes = Nodes()
-    nodes.see(shows(lambda node, _topic: node == "/honest"))
-    assert nodes.note(b"1", snapshot("/honest", "/first"), 0.0)
-    many = [f"/t{number}" for number in range(MOST_PUBLISHERS // 2)]
-    assert [nodes.note(writer, snapshot("/invented", *many), 0.1) for writer in (b"2", b"3")] == [True, False]
-    assert nodes.note(b"4", snapshot("/honest", *many), 0.2)
-    assert len(nodes.live(0.3)) == 1 + len(many)
-
-
 @examples(40)
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans(), st.floats(0, 4)), max_size=60))
 def test_nothing_lives_that_was_not_both_shown_and_told(events):

@@ -179,20 +179,15 @@ def test_a_discovery_server_tells_arpd_of_every_topic(before, wanted):
     assert served["ROS_SUPER_CLIENT"] == wanted
 
 
-def test_the_link_s_participant_has_no_discovery_server_of_the_robot():
-    """While the first node of the link is made no server is named, and afterwards all is as before."""
-    before = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment = dict(before)
-    with _discovery(LinkDomain(domain_id=77, peer="10.0.0.2"), environment):
-        assert "ROS_DISCOVERY_SERVER" not in environment
-        assert environment["ROS_STATIC_PEERS"] == "127.0.0.1;10.0.0.2"
-    assert environment == before
-
-
 @pytest.mark.parametrize(("nodes", "link"), [("SHM", "UDPv4"), ("LARGE_DATA", "LARGE_DATA"), ("", "DEFAULT")])
-def test_the_link_s_participant_leaves_its_host(nodes, link):
-    """Nodes that share memory alone are met in their own domain; nothing else of the transports changes."""
-    environment = {"FASTDDS_BUILTIN_TRANSPORTS": nodes}
-    with _discovery(LinkDomain(domain_id=77, peer="10.0.0.2"), environment):
-        assert environment == environment | {"FASTDDS_BUILTIN_TRANSPORTS": f"{link}?non_blocking=true"}
-    assert environment == {"FASTDDS_BUILTIN_TRANSPORTS": nodes}
+def test_the_link_s_participant_leaves_its_host_and_the_robot_s_discovery_server(nodes, link):
+    """Nodes that share memory alone are met in their own domain; afterwards all is as before."""
+    confined = {"ROS_DISCOVERY_SERVER": "127.0.0.1:11811", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    before = {**confined, "FASTDDS_BUILTIN_TRANSPORTS": nodes}
+    with _discovery(LinkDomain(domain_id=77, peer="10.0.0.2"), environment := dict(before)):
+        assert environment == {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "ROS_STATIC_PEERS": "127.0.0.1;10.0.0.2",
+            "FASTDDS_BUILTIN_TRANSPORTS": f"{link}?non_blocking=true",
+        }
+    assert environment == before
