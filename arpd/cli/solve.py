@@ -16,8 +16,8 @@ from arpd.govern.plan import Wanted
 from arpd.host.config.load import load_settings
 from arpd.host.config.yaml_source import START, Fault, config_error
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.kinds import rate
-from arpd.model.quantities import format_number, format_rate, format_share, format_size
+from arpd.model.kinds import between
+from arpd.model.quantities import RATE, format_number, format_rate, format_share, format_size
 from arpd.model.settings import Backend
 from arpd.report.wording import count
 from arpd.solve.backends import Solver
@@ -153,7 +153,7 @@ binding: {binding}; solved by {backend}""".format(
 
 def _solve_topics(options: argparse.Namespace) -> int:
     try:
-        capacities = [rate("8kbit", "100gbit").read(word) for word in options.capacity.split(",")]
+        capacities = [*map(between(RATE, "8kbit", "100gbit"), options.capacity.split(","))]
     except ValueError as error:
         raise UsageError(f"--capacity: {error}") from None
     settings = load_settings(options.config, interfaces=None)  # the file may belong to another computer

@@ -8,15 +8,16 @@ from __future__ import annotations
 import ipaddress
 import re
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator
-from pydantic_core import core_schema
+from pydantic import AfterValidator, BeforeValidator, PlainSerializer, WrapSerializer, WrapValidator
 
 from arpd.model.names import LONGEST_NAME, is_hidden, is_internal, is_pattern
 from arpd.model.quantities import DURATION, RATE, SIZE, Units, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 NONE = "none"  # written where there is no value
 _LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
@@ -24,49 +25,35 @@ _HOST = re.compile(rf"(?=.{{1,253}}\Z){_LABEL}(?:\.{_LABEL})*")
 _ADDRESS = f"an IPv4 address of one computer, a host name or {NONE}"
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """Kind of a number between two bounds that is written with its unit, because its key does not name one."""
+def between(units: Units, low: str, high: str) -> Callable[[Any], float]:
+    """Return a reader of a quantity between two bounds, in base units; it raises ValueError."""
 
-    units: Units
-    low: str
-    high: str
-
-    def read(self, raw: Any) -> float:
-        """Return the quantity in base units."""
-        value = self.units.parse(str(raw))
-        if not self.units.parse(self.low) <= value <= self.units.parse(self.high):
-            raise ValueError(f"{printable(raw)} is out of range; write {self.low}..{self.high}")
+    def read(raw: Any) -> float:
+        value = units.parse(str(raw))
+        if not units.parse(low) <= value <= units.parse(high):
+            raise ValueError(f"{printable(raw)} is out of range; write {low}..{high}")
         return value
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Read before pydantic looks at the number, and write it with its unit."""
-        written = core_schema.plain_serializer_function_ser_schema(self.units.spell)
-        return core_schema.no_info_before_validator_function(self.read, handler(source), serialization=written)
+    return read
+
+
+def _quantity(units: Units, low: str, high: str) -> tuple[Any, ...]:
+    """Kind of a number that is written with its unit, because its key does not name one."""
+    return BeforeValidator(between(units, low, high)), PlainSerializer(units.spell)
 
 
 # Between two bounds: rate("8kbit", "100gbit").
-rate = partial(Quantity, RATE)  # (bytes/s)
-size = partial(Quantity, SIZE)  # (bytes)
-duration = partial(Quantity, DURATION)  # (s)
+rate = partial(_quantity, RATE)  # (bytes/s)
+size = partial(_quantity, SIZE)  # (bytes)
+duration = partial(_quantity, DURATION)  # (s)
 
 
-@dataclass(frozen=True)
-class OrWord:
-    """A kind that takes a word, too, which stands for ``meaning``."""
-
-    word: str
-    meaning: str | None = None
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Keep the word from the kind."""
-        return core_schema.no_info_wrap_validator_function(
-            lambda raw, kind: self.meaning if raw == self.word else kind(raw),
-            handler(source),
-            serialization=core_schema.wrap_serializer_function_ser_schema(
-                lambda value, kind: self.word if value == self.meaning else kind(value)
-            ),
-        )
+def or_word(word: str, meaning: str | None = None) -> tuple[Any, ...]:
+    """Let a kind take a word, too, which stands for ``meaning``."""
+    return (
+        WrapValidator(lambda raw, kind: meaning if raw == word else kind(raw)),
+        WrapSerializer(lambda value, kind: word if value == meaning else kind(value)),
+    )
 
 
 def _name_pattern(raw: str) -> str:
@@ -113,5 +100,5 @@ def address(raw: str) -> str:
 NamePattern = Annotated[str, AfterValidator(_name_pattern)]
 TopicName = Annotated[str, AfterValidator(_topic_name)]
 Prefix = Annotated[str, AfterValidator(_prefix)]
-Namespace = Annotated[str, AfterValidator(_namespace), OrWord(NONE, "")]
+Namespace = Annotated[str, AfterValidator(_namespace), *or_word(NONE, "")]
 Address = Annotated[str, AfterValidator(address)]

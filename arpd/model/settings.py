@@ -1,6 +1,6 @@
 """Settings of the operator: every key of arpd.yaml with its kind and its default.
 
-The shipped file, etc/arpd/arpd.yaml, explains each of them. None stands for the word in a key's `OrWord`. A key is
+The shipped file, etc/arpd/arpd.yaml, explains each of them. None stands for the word in a key's `or_word`. A key is
 called like its attribute, without the unit: ``hold: 2s`` is ``hold_s``.
 
 Programs make settings from base units, without checks. `arpd.host.config` reads them from YAML: pydantic finds the kind
@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from arpd.model.endpoints import Overflow
-from arpd.model.kinds import NONE, Address, NamePattern, Namespace, OrWord, Prefix, TopicName, duration, rate, size
+from arpd.model.kinds import NONE, Address, NamePattern, Namespace, Prefix, TopicName, duration, or_word, rate, size
 from arpd.model.names import compile_patterns
 from arpd.model.wire import MOST_DOMAIN
 
@@ -71,10 +71,10 @@ class LinkSettings(Section):
     """Settings of the link."""
 
     interface: Annotated[str, Field(pattern=r"^[!-.0-9;-~]{1,15}$")] = AUTO
-    capacity_bytes_per_second: Annotated[float | None, rate("8kbit", "100gbit"), OrWord(AUTO)] = None
-    initial_capacity_bytes_per_second: Annotated[float, rate("8kbit", "100gbit")] = 2.5e6
+    capacity_bytes_per_second: Annotated[float | None, *rate("8kbit", "100gbit"), *or_word(AUTO)] = None
+    initial_capacity_bytes_per_second: Annotated[float, *rate("8kbit", "100gbit")] = 2.5e6
     headroom: Annotated[float, Field(ge=0.05, le=1)] = 0.85  # η
-    packet_overhead_s: Annotated[float | None, duration("0s", "100ms"), OrWord(AUTO)] = None  # t_ovh
+    packet_overhead_s: Annotated[float | None, *duration("0s", "100ms"), *or_word(AUTO)] = None  # t_ovh
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,17 +84,17 @@ class ProgramSettings(Section):
     policy: Policy = Policy.PER_TOPIC
     backend: Backend = Backend.OSQP
     deadline_slack: Annotated[float, Field(ge=1, le=100)] = 1.25
-    memory_budget_bytes: Annotated[float, size("64KiB", "1024GiB")] = 64 * 2**20  # M
-    memory_reserve_bytes: Annotated[float, size("0B", "1024GiB")] = 128 * 2**20
+    memory_budget_bytes: Annotated[float, *size("64KiB", "1024GiB")] = 64 * 2**20  # M
+    memory_reserve_bytes: Annotated[float, *size("0B", "1024GiB")] = 128 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GovernorSettings(Section):
     """Thresholds that turn a measured change into a QoS swap (docs/design.md, The governor)."""
 
-    hold_s: Annotated[float, duration("0s", "1h")] = 2.0
-    dwell_s: Annotated[float, duration("0s", "1h")] = 10.0
-    debounce_s: Annotated[float, duration("0s", "1h")] = 1.0
+    hold_s: Annotated[float, *duration("0s", "1h")] = 2.0
+    dwell_s: Annotated[float, *duration("0s", "1h")] = 10.0
+    debounce_s: Annotated[float, *duration("0s", "1h")] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,7 +103,7 @@ class HttpSettings(Section):
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
-    web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]+$", max_length=4096), OrWord(NONE)] = None
+    web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]+$", max_length=4096), *or_word(NONE)] = None
 
     @property
     def netloc(self) -> str:
@@ -115,8 +115,8 @@ class HttpSettings(Section):
 class GraphSettings(Section):
     """Pinned topic counts; None = count the live graph."""
 
-    sensing_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
-    actuation_topics: Annotated[int | None, Field(ge=0, le=10_000), OrWord(AUTO)] = None
+    sensing_topics: Annotated[int | None, Field(ge=0, le=10_000), *or_word(AUTO)] = None
+    actuation_topics: Annotated[int | None, Field(ge=0, le=10_000), *or_word(AUTO)] = None
 
     @property
     def pinned(self) -> dict[str, Any]:
@@ -130,10 +130,10 @@ class Preferences(Section):
 
     weight: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
     min_rate_hz: Annotated[float | None, Field(ge=0, le=100_000)] = None  # None: that of defaults, for small samples
-    max_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), OrWord("source")] = None
+    max_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), *or_word("source")] = None
     min_depth: Annotated[int, Field(ge=1, le=5000)] = 1
     max_depth: Annotated[int, Field(ge=1, le=5000)] = 5000
-    latency_budget_s: Annotated[float | None, duration("1ms", "1h"), OrWord(NONE)] = 1.0
+    latency_budget_s: Annotated[float | None, *duration("1ms", "1h"), *or_word(NONE)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -148,8 +148,8 @@ class TopicSettings(Preferences):
     """Preferences for one topic, or for all that a pattern matches."""
 
     name: NamePattern
-    payload_bytes: Annotated[float | None, size("1B", "1GB"), OrWord("measured")] = None
-    source_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), OrWord("measured")] = None
+    payload_bytes: Annotated[float | None, *size("1B", "1GB"), *or_word("measured")] = None
+    source_rate_hz: Annotated[float | None, Field(ge=0.001, le=100_000), *or_word("measured")] = None
 
     @property
     def is_pattern(self) -> bool:
@@ -198,16 +198,16 @@ class LinkDomain:
 class RelaySettings(Section):
     """Topics that the relay carries for nodes whose code is not yours: under a prefix, or with two ends."""
 
-    link_domain: Annotated[int | None, Field(ge=0, le=MOST_DOMAIN), OrWord(NONE)] = None
-    robot: Annotated[Address | None, OrWord(NONE)] = None
-    base: Annotated[Address | None, OrWord(NONE)] = None
+    link_domain: Annotated[int | None, Field(ge=0, le=MOST_DOMAIN), *or_word(NONE)] = None
+    robot: Annotated[Address | None, *or_word(NONE)] = None
+    base: Annotated[Address | None, *or_word(NONE)] = None
     namespace: Namespace = ""
     to_base: tuple[NamePattern, ...] = ("/**",)
     to_robot: tuple[NamePattern, ...] = ("/**",)
     deny: tuple[NamePattern, ...] = ()
     services: tuple[NamePattern, ...] = ()
     actions: tuple[NamePattern, ...] = ()
-    call_timeout_s: Annotated[float, duration("100ms", "1h")] = 10.0
+    call_timeout_s: Annotated[float, *duration("100ms", "1h")] = 10.0
     groups: tuple[TopicGroup, ...] = ()
     prefix: Prefix = "/link"
     topics: tuple[RelayTopic, ...] = ()
@@ -259,7 +259,7 @@ class Settings(Section):
     relay: RelaySettings = field(default_factory=RelaySettings)
     on_stop: OnStop = OnStop.RESTORE
     on_lost: OnLost = OnLost.KEEP
-    lost_after_s: Annotated[float, duration("5s", "1h")] = 30.0
+    lost_after_s: Annotated[float, *duration("5s", "1h")] = 30.0
     _named: dict[str, Preferences] = field(default_factory=dict, init=False, repr=False, compare=False)
     _patterns: list[tuple[re.Pattern[str], Preferences]] = field(
         default_factory=list, init=False, repr=False, compare=False
