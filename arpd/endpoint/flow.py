@@ -8,7 +8,8 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from arpd.endpoint.lane import CATCH_UP, Lane
+from arpd.endpoint.lane import CATCH_UP, SMALL_BYTES, Lane
+from arpd.endpoint.slow_start import POLL_S, SlowStart
 from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
 from arpd.model.endpoints import FlowState, Overflow, SwapResult, WithheldCause, Writer, WriterQos
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 _LEAST_FLOWING_HZ = 10.0  # of samples that a swap held
 # A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
 _PATIENCE_S = 4.0
+# A node finds a daemon, or is found, by an announcement every 3 s; then there is a price within a second.
+_START_S = 5.0
 _NO_LOCK = nullcontext()
 W = TypeVar("W", bound=Writer)
 
@@ -27,7 +30,8 @@ class Flow(Generic[W]):
     """Writes the samples that its lane releases by the current writer, and swaps that writer when its QoS shall change.
 
     Until the lane has a plan it behaves as a plain publisher: unpaced, with the QoS it was made with. One exception:
-    while a daemon is there and has no plan for the topic yet, large samples wait some seconds for what is spare.
+    large samples begin slowly (`SlowStart`), and while a daemon is there and has no plan for the topic yet, they wait
+    some seconds for what is spare.
 
     Parameters
     ----------
@@ -76,6 +80,8 @@ class Flow(Generic[W]):
             patience_s=0.0 if is_ordered else _PATIENCE_S,
         )
         self.lane.plan = replace(self.lane.plan, deadline_ns=qos.deadline_ns, depth=qos.depth)
+        patience_s = 0.0 if is_ordered else _START_S  # of who loses no sample, all are written as they come
+        self._start = SlowStart(self.lane, self._has_arrived, depth=qos.depth, patience_s=patience_s)
         self._withheld: Counter[str] = Counter()  # behind the queue, by cause
         # Of the writers before, less those of this one until it was in force.
         self._missed = -self._writer.deadlines_missed()
@@ -84,6 +90,16 @@ class Flow(Generic[W]):
 
     def write(self, sample: bytes) -> None:
         """Write a sample that the queue released, or hold it while a swap says so; may block on a full link."""
+        start = self._start
+        if len(sample) <= SMALL_BYTES and not start.waiting:
+            self._pass(sample)
+            return
+        self._withheld[WithheldCause.BLOCKED.value] += start.offer(sample, self._clock())
+        self._begin()
+        if start.waiting:
+            self._on_held()
+
+    def _pass(self, sample: bytes) -> None:
         if not (self._held or self._awaits_silence):  # the usual case
             self._write(sample)
             return
@@ -101,34 +117,37 @@ class Flow(Generic[W]):
 
     def service(self, now_s: float) -> float:
         """Take a step of the swap, and write what it held; return when to call again, inf = when asked (s)."""
-        if not (self.swap.is_busy or self._held):
+        if not (self.swap.is_busy or self._held or self._start.waiting):
             return math.inf
         self._step(now_s)
         self._release()
+        self._begin()
         now_s = self._clock()
         due_s = now_s + self.swap.poll_s if self.swap.is_busy else math.inf
+        if self._start.waiting:
+            due_s = min(due_s, now_s + POLL_S)
         if self._held and not self.swap.is_holding:
             due_s = min(due_s, max(now_s, self._catch_up_s))
         return due_s
 
     def is_acknowledged(self) -> bool:
         """Return whether no sample waits here, and no reader waits for one."""
-        if len(self.lane) or self.lane.claimant is not None or self._held:
+        if len(self.lane) or self.lane.claimant is not None or self._held or self._start.waiting:
             return False
-        with self._lock:
-            return self.swap.is_acknowledged()
+        return self._has_arrived()
 
     def state(self) -> FlowState:
         """Return the settings in force and the counters; called about once a second."""
         lane = self.lane.state(self._clock())
         withheld = Counter(lane.withheld_by_cause) + self._withheld
+        waiting = len(self._held) + len(self._start.waiting)
         with self._lock:
             return replace(
                 lane,
-                published=lane.published - self._withheld.total() - len(self._held),
+                published=lane.published - self._withheld.total() - waiting,
                 withheld=withheld.total(),
                 withheld_by_cause=dict(withheld),
-                queued=lane.queued + len(self._held),
+                queued=lane.queued + waiting,
                 depth=self.swap.qos.depth,
                 deadline_ns=self.swap.qos.deadline_ns,
                 deadlines_missed=self._missed + self._writer.deadlines_missed(),
@@ -138,16 +157,26 @@ class Flow(Generic[W]):
             )
 
     def rest(self) -> list[bytes]:
-        """Take the samples that a swap holds, the oldest first."""
-        rest = list(self._held)
+        """Take the samples that have left the queue and are not written yet, the oldest first."""
+        rest = [*self._held, *self._start.waiting]
         self._held.clear()
+        self._start.waiting.clear()
         return rest
 
     def close(self) -> None:
-        """Withhold the samples that a swap holds, and destroy every writer."""
+        """Withhold the samples that wait behind the queue, and destroy every writer."""
         with self._lock:
             self._withheld[WithheldCause.CLOSED.value] += len(self.rest())
             self.swap.close()
+
+    def _has_arrived(self) -> bool:
+        with self._lock:
+            return self.swap.is_acknowledged()
+
+    def _begin(self) -> None:
+        """Write what the start of the topic lets go."""
+        while (sample := self._start.take(self._clock())) is not None:
+            self._pass(sample)
 
     def _write(self, sample: bytes) -> None:
         try:

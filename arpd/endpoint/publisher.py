@@ -48,7 +48,8 @@ _LATCHED = "is TRANSIENT_LOCAL: a new writer would lack what late joiners need"
 class AdaptivePublisher:
     """A publisher that can be re-tuned live; same methods as `rclpy.publisher.Publisher`.
 
-    Until a daemon plans it, it behaves as a plain publisher: unpaced, with the application's QoS. It works from any
+    Until a daemon plans it, it behaves as a plain publisher: unpaced, with the application's QoS. But in its first
+    seconds a large sample waits until the readers have the one before (docs/design.md, The endpoint). It works from any
     thread and under any executor. It uses a monotonic clock, with ``use_sim_time`` too.
 
     Parameters

@@ -30,6 +30,9 @@ class Writer(swap_world.Writer):
         super().__init__(qos, world)
         self.acknowledges = self.is_broken = False
 
+    def is_acknowledged(self):
+        return super().is_acknowledged() or not self.written
+
     def publish(self, sample):
         if self.is_broken:
             raise RuntimeError("no room")
@@ -215,8 +218,9 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
             assert last - first + 1 <= departures[last] - start + 24.0 + 2.5  # 0.3 s at the ceiling
 
 
-def begin(world, seconds, *, price=None, sample=LARGE):
+def begin(world, seconds, *, price=None, sample=LARGE, acknowledges=True):
     """Publish at 50 Hz while a daemon sends this price at 10 Hz, or none; return the number of samples written."""
+    world.writers[-1].acknowledges = acknowledges
     before = len(world.log)
     for number in range(round(seconds * 50)):
         if number % 5 == 0:
@@ -265,3 +269,40 @@ def test_the_wait_for_a_plan_ends(seconds, price):
     world = World()
     begin(world, seconds, price=spare(0.0))
     assert begin(world, 2.0, price=price) == pytest.approx(100, abs=1)
+
+
+def test_at_the_start_a_large_sample_waits_until_the_readers_have_the_one_before():
+    """Without a daemon as many wait as DDS would keep, and leave one by one; with one, the newest."""
+    world = World(depth=3)
+    world.publish(LARGE)
+    for k in range(1, 11):
+        world.publish(LARGE + name(k))
+    assert world.log == [LARGE]
+    assert (world.flow.state().queued, world.flow.state().withheld) == (3, 7)
+    world.writers[0].acknowledges = True
+    world.wait(STEP_S)
+    world.writers[0].acknowledges = False
+    assert world.log[1] == LARGE + name(8)
+    begin(world, 0.5, price=spare(1.0), acknowledges=False)
+    assert world.flow.state().queued <= 2  # one here, and one that waits for the link
+
+
+@pytest.mark.parametrize("plan", [True, False], ids=["plan", "no daemon"])
+def test_a_slow_start_ends_with_the_plan_or_after_five_seconds(plan):
+    """Where no reader acknowledges, because one is gone, for example, the others hear the topic again."""
+    world = World()
+    assert begin(world, 0.1 if plan else 4.9, acknowledges=False) < 10
+    if plan:
+        world.retune(rate_hz=math.inf, **TERMS)
+    begin(world, 0.2, acknowledges=False)
+    assert begin(world, 1.0, acknowledges=False) == 50
+
+
+def test_a_link_that_acknowledges_quickly_delays_no_start():
+    """What is acknowledged within two heartbeats leaves as it comes."""
+    world = World()
+    for number in range(50):
+        world.publish(LARGE + name(number))
+        world.writers[0].acknowledges = number % 2 == 1  # at each second sample a heartbeat is answered
+        world.wait(0.033)
+    assert len(world.log) == 50
