@@ -22,7 +22,6 @@ from arpd.model.quantities import (
     printable,
 )
 from arpd.report.conditions import Condition
-from arpd.report.situation import SLOWED_BELOW
 from arpd.report.wording import PACED_ONLY, confirmed, lease
 from arpd.web.api import Finding
 
@@ -236,12 +235,8 @@ def _topic_table(topics: Sequence[Topic], width: int) -> Table:
 
 def _rank(topic: Topic) -> tuple[bool, float, float, str, str]:
     """Order by what an operator looks for: refusals, then topics that give up most, then those that use most."""
-    kept = topic.kept_ratio if _is_slowed(topic) else 1.0
+    kept = topic.kept_ratio if topic.is_slowed else 1.0
     return not _is_refused(topic), kept, -(topic.allocation.share if topic.allocation else 0.0), topic.topic, topic.node
-
-
-def _is_slowed(topic: Topic) -> bool:
-    return topic.kept_ratio < SLOWED_BELOW
 
 
 def _is_refused(topic: Topic) -> bool:
@@ -251,7 +246,7 @@ def _is_refused(topic: Topic) -> bool:
 def _style(topic: Topic) -> str:
     if _is_refused(topic):
         return "red"
-    if _is_slowed(topic):
+    if topic.is_slowed:
         return "yellow"
     return "" if topic.planned else "dim"
 

@@ -14,8 +14,8 @@ from arpd.report.wording import Change, changes, count
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from arpd.report.situation import Slowed
     from arpd.report.snapshot import Snapshot
+    from arpd.report.topic_rows import Topic
 
 _EVERY_S = 1.0
 _LASTS_S = 9.5  # a change that is over sooner is the price at work
@@ -28,7 +28,7 @@ class RatesLog:
     def __init__(self) -> None:
         self._due_s = -math.inf
         self._news_since_s = math.inf
-        self._logged: Mapping[str, Slowed] = {}  # the last event
+        self._logged: Mapping[str, Topic] = {}  # the last event
 
     def follow(self, snapshot: Snapshot) -> Iterator[Event]:
         """Return what happened since the snapshot before."""
@@ -51,16 +51,16 @@ class RatesLog:
             self._logged, self._news_since_s = now, math.inf
 
 
-def _is_far(one: Slowed, other: Slowed) -> bool:
-    return max(one.kept, other.kept) > _AS_BEFORE * min(one.kept, other.kept)
+def _is_far(one: Topic, other: Topic) -> bool:
+    return max(one.kept_ratio, other.kept_ratio) > _AS_BEFORE * min(one.kept_ratio, other.kept_ratio)
 
 
-def _event(before: Mapping[str, Slowed], now: Mapping[str, Slowed]) -> Event:
+def _event(before: Mapping[str, Topic], now: Mapping[str, Topic]) -> Event:
     moved = []
     for topic in before.keys() | now.keys():
-        source_hz = (now.get(topic) or before[topic]).source_hz
-        was_hz = before[topic].rate_hz if topic in before else source_hz
-        is_hz = now[topic].rate_hz if topic in now else source_hz
+        source_hz = (now.get(topic) or before[topic]).confirmed.source_rate_hz
+        was_hz = before[topic].allowed_hz if topic in before else source_hz
+        is_hz = now[topic].allowed_hz if topic in now else source_hz
         moved.append(Change(topic, was_hz, is_hz, weight=abs(math.log(max(is_hz, 1e-3) / max(was_hz, 1e-3)))))
     words = changes(moved, " Hz")
     condition, what = Condition.LIMITED, f"the link slows {count(len(now), 'topic')}"

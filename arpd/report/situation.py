@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from arpd.model.allocation import AllocationStatus
 from arpd.model.endpoints import MOST_PUBLISHERS
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import Topic
 
-SLOWED_BELOW = 0.95  # of what the source publishes; a rate within a twentieth of it slows nobody
 _DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
 _LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people
 _STEPS = 20  # of the allowed part in the line for systemd, which sends each change to everybody who watches
@@ -44,15 +43,6 @@ HIDDEN_WHILE_CUT = {
 }
 
 
-class Slowed(NamedTuple):
-    """A topic that the link keeps below the rate of its source (Hz); ``kept`` is the part that is left."""
-
-    kept: float
-    topic: str
-    rate_hz: float
-    source_hz: float
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Situation:
     """A snapshot, judged.
@@ -64,7 +54,7 @@ class Situation:
     """
 
     findings: tuple[Finding, ...]
-    slowed: tuple[Slowed, ...]
+    slowed: tuple[Topic, ...]
 
     @property
     def verdict(self) -> Finding:
@@ -219,7 +209,7 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.POSTPONED, why, f"plan {decision.plan.generation}")
 
 
-def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Iterator[Finding]:
+def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Topic]) -> Iterator[Finding]:
     """Yield what the link is like, and what arpd does about it: as it changes from tick to tick, it is no event."""
     if not planned:
         is_found = any(publisher.direction != "local" for publisher in snapshot.observation.publishers)
@@ -235,21 +225,15 @@ def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Slowed]) -> Itera
         why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
         yield Finding(Condition.CLEAR, f"{why}; {_unmeasured(snapshot) or _queue_and_loss(snapshot)}")
         return
-    _, most, rate_hz, source_hz = slowed[0]
-    rates = f"{format_number(source_hz)} → {format_number(rate_hz)} Hz"
-    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most} most ({rates})"
+    most = slowed[0]
+    rates = f"{format_number(most.confirmed.source_rate_hz)} → {format_number(most.allowed_hz)} Hz"
+    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most.topic} most ({rates})"
     yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
 
 
-def slowed_topics(rows: Iterable[Topic]) -> tuple[Slowed, ...]:
+def slowed_topics(rows: Iterable[Topic]) -> tuple[Topic, ...]:
     """Return the topics that the link keeps below their sources' rates now, the most slowed first."""
-    return tuple(
-        sorted(
-            Slowed(kept, row.topic, row.allocation.rate_hz, row.confirmed.source_rate_hz)
-            for row in rows
-            if row.allocation is not None and (kept := row.kept_ratio) < SLOWED_BELOW
-        )
-    )
+    return tuple(sorted((row for row in rows if row.is_slowed), key=lambda row: (row.kept_ratio, row.topic)))
 
 
 def _is_draining(snapshot: Snapshot) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from arpd.model.plan import TopicPlan
     from arpd.report.snapshot import Snapshot
 
+_SLOWED_BELOW = 0.95
 _OF_THE_LINK = {Binding.LINK, Binding.MINIMUM}
 
 
@@ -38,6 +40,16 @@ class Topic:
     kept_ratio: float
     keeps_qos: bool
     age_s: float
+
+    @property
+    def is_slowed(self) -> bool:
+        """Whether the link keeps it below its source's rate; a rate within a twentieth of that slows nobody."""
+        return self.kept_ratio < _SLOWED_BELOW
+
+    @property
+    def allowed_hz(self) -> float:
+        """Rate that the last tick gives it, ``inf`` where the program does not have it (Hz)."""
+        return self.allocation.rate_hz if self.allocation else math.inf
 
 
 def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
