@@ -22,7 +22,7 @@ from arpd.model.quantities import (
     printable,
 )
 from arpd.report.conditions import Condition
-from arpd.report.wording import PACED_ONLY, confirmed, lease
+from arpd.report.wording import PACED_ONLY, confirmed
 from arpd.web.api import Finding
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ _DAY_S = 86_400.0
 _VERDICTS = {"info": "bold green", "warning": "bold yellow", "error": "bold red"}
 _SEVERITIES = {"info": "", "warning": "yellow", "error": "red"}
 _BLOCKS = "▁▂▃▄▅▆▇█"
+_LEASE = "after {:g} s without this daemon, publishers return to their own QoS"
 _NOT_READY = "Not ready: the daemon has just started or is stuck; if this stays, see journalctl -u arpd."
 
 
@@ -150,7 +151,7 @@ def _facts(status: Status, width: int) -> list[Text]:
         ("", plan.reason),
         ("program", _program(status)),
         ("relay", _relay(status.relay) if status.relay else ""),
-        ("lease", lease(status.lease_s) if status.lease_s else ""),
+        ("lease", _LEASE.format(status.lease_s) if status.lease_s else ""),
         ("rmw", status.rmw_refusal),
         *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
     ]

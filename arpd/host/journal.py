@@ -44,7 +44,7 @@ class JournalHandler(logging.Handler):
         try:
             fields: dict[str, str | int] = {
                 "MESSAGE": self.format(record),
-                "PRIORITY": _priority_of(record.levelno),
+                "PRIORITY": next((priority for least, priority in _PRIORITIES if record.levelno >= least), 7),
                 "LOGGER": record.name,
             }
             event = getattr(record, "event", None)
@@ -68,10 +68,6 @@ class JournalHandler(logging.Handler):
         # File names and ROS names may hold bytes that are no UTF-8.
         texts = {name: str(value).encode("utf-8", "replace").decode() for name, value in (self._frame | fields).items()}
         self._transport.send(texts.items())
-
-
-def _priority_of(level: int) -> int:
-    return next((priority for least, priority in _PRIORITIES if level >= least), 7)
 
 
 def _fields_of(event: Event) -> dict[str, str | int]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.model.endpoints import RefusalReason
-from arpd.model.quantities import format_duration
+from arpd.model.quantities import format_duration, format_period
 from arpd.report.conditions import Event, Happening, Severity
-from arpd.report.wording import count, deadline, listed
+from arpd.report.wording import count, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -71,7 +71,8 @@ def _event(publisher: PublisherState, severity: Severity, text: str, details: di
 
 
 def _ended(publisher: PublisherState, record: SwapRecord) -> str:
-    asked = f"depth {record.depth}, {deadline(record.deadline_ns)}"
+    deadline = f"deadline {format_period(record.deadline_ns)}" if record.deadline_ns else "no deadline"
+    asked = f"depth {record.depth}, {deadline}"
     if record.result in _KEPT:
         return f"{publisher.topic} keeps its QoS, not {asked}: {publisher.refusal or _KEPT[record.result]}"
     if record.result not in {"ok", "reorder_possible"}:

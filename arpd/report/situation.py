@@ -15,7 +15,7 @@ from arpd.model.settings import AUTO
 from arpd.report import waiting
 from arpd.report.conditions import Condition, Finding
 from arpd.report.topic_rows import topic_rows
-from arpd.report.wording import AT_FLOORS, confirmed, count, listed, short
+from arpd.report.wording import confirmed, count, listed, short
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -124,7 +124,7 @@ def _found_in(snapshot: Snapshot) -> Iterator[Finding]:
     if fault := _interface_fault(snapshot):
         yield Finding(Condition.INTERFACE_DOWN, f"{fault}; arpd goes on by itself when that changes", fault)
     elif snapshot.link.state is LinkState.OUTAGE and not observation.active_daemon:
-        yield Finding(Condition.OUTAGE, f"{AT_FLOORS} until packets arrive again")
+        yield Finding(Condition.OUTAGE, "no topic sends more than its minimum rate until packets arrive again")
     yield from _of_configuration(snapshot)
     yield from _of_relay(snapshot)
     if left_out := observation.left_out:

@@ -70,8 +70,9 @@ def peer(snapshot: Snapshot) -> str:
         many = "a peer is" if observation.peers == 1 else f"{observation.peers} peers are"
         return f"{many} in the graph, but no report arrives, so {without}; see journalctl -u arpd-peer there"
     start = f"start arpd-peer on the other computer{_where(snapshot)}: sudo systemctl enable --now arpd-peer"
-    guess = f"; is {snapshot.interface} the link? (link.interface is auto)" if _is_guess(snapshot) else ""
-    return f"{without}; {start}{guess}"
+    if AUTO == snapshot.settings.link.interface != snapshot.interface:
+        return f"{without}; {start}; is {snapshot.interface} the link? (link.interface is auto)"
+    return f"{without}; {start}"
 
 
 _WITHOUT_PEER = {
@@ -101,7 +102,3 @@ def _where(snapshot: Snapshot) -> str:
     """Name the ROS domain of nodes and peers, unless it is the relay's, which no user starts a node in."""
     domain = snapshot.observation.domain
     return "" if domain is None or snapshot.settings.relay.link_domain is not None else f" in ROS domain {domain}"
-
-
-def _is_guess(snapshot: Snapshot) -> bool:
-    return AUTO == snapshot.settings.link.interface != snapshot.interface

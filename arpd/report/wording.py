@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.model.quantities import format_number, format_period
+from arpd.model.quantities import format_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -13,7 +13,6 @@ MOST_TEXT = 600  # characters
 _MOST_NAME = 64
 _MOST_NAMED = 3
 
-AT_FLOORS = "no topic sends more than its minimum rate"
 PACED_ONLY = "rate only"  # of a publisher that refuses new QoS for good
 
 
@@ -21,16 +20,6 @@ def confirmed(*, confirmed: int, publishers: int, paced_only: int = 0) -> str:
     """Say how many publishers announce the plan, and how many of them refuse new QoS for good."""
     paced = f" ({paced_only} by {PACED_ONLY})" if paced_only else ""
     return f"{confirmed} of {publishers} publishers{paced} confirmed"
-
-
-def lease(after_s: float) -> str:
-    """Say what becomes of the plan when the daemon falls silent for so long (s)."""
-    return f"after {after_s:g} s without this daemon, publishers return to their own QoS"
-
-
-def deadline(period_ns: int) -> str:
-    """Say a DEADLINE (ns, 0 = none)."""
-    return f"deadline {format_period(period_ns)}" if period_ns else "no deadline"
 
 
 def short(name: str) -> str:
