@@ -85,11 +85,7 @@ def test_a_wrong_back_end_is_overruled_and_counted(monkeypatch, caplog, answer, 
     assert len(caplog.records) == isinstance(answer, Exception)
 
 
-@pytest.mark.parametrize(
-    ("answer", "outcome"),
-    [((5.0, 200.0), "disagreed"), ((math.nan, 365.0), "failed"), ((7.0, math.nan), "failed"), (KeyError(), "failed")],
-    ids=repr,
-)
+@pytest.mark.parametrize(("answer", "outcome"), [((5.0, 200.0), "disagreed"), ((7.0, math.nan), "failed")])
 def test_a_wrong_optimum_of_eq4_is_overruled_and_counted(monkeypatch, answer, outcome):
     """A point that is not the vertex is replaced by it, also where it is feasible."""
     monkeypatch.setattr(osqp_, "eq4", broken(answer))
