@@ -2,10 +2,13 @@
 
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from arpd.report.conditions import Severity
 from arpd.sim.demo import demo_topics
-from tests.golden.sample import FINISHED_AT_S, changed, held, status_of
+from arpd.web.json_text import plain
+from tests.golden.sample import EVENT, FINISHED_AT_S, changed, held, status_of
 from tests.sample_publishers import publisher
 
 HISTORY = {
@@ -69,19 +72,9 @@ def demo_robot():
     )
 
 
-def event(number, text, *, kind="plan", severity="info", at_s=1e9):
+def event(number, text):
     """Return a line of the decision log."""
-    return {
-        "number": number,
-        "at_s": 1.0,
-        "unix_time_s": at_s,
-        "kind": kind,
-        "severity": severity,
-        "text": text,
-        "topic": "",
-        "node": "",
-        "details": {},
-    }
+    return plain(replace(EVENT, number=number, text=text, severity=Severity.INFO, unix_time_s=1e9))
 
 
 def busy():

@@ -28,15 +28,6 @@ def make_certificate(folder, name, *, issuer=""):
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
 
 
-class Clock:
-    """A clock that a test sets."""
-
-    now_s = 0.0
-
-    def __call__(self):
-        return self.now_s
-
-
 class Running:
     """A server under a web-config, and a client for it."""
 

@@ -8,12 +8,14 @@ import os
 import socket
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from arpd.host.journal import JournalHandler, configure_logging, log_event
-from arpd.report.conditions import MESSAGE_IDS, Event, Happening, Severity
+from arpd.report.conditions import MESSAGE_IDS, Happening
+from tests.golden.sample import EVENT
 
 CATALOG = Path(__file__).parents[3] / "systemd/arpd.catalog"
 LOST = "lost 1 messages: the journal did not take them"
@@ -78,24 +80,10 @@ def logger(journal):
     handler.close()
 
 
-def event(**more):
-    return Event(
-        **{
-            "number": 7,
-            "at_s": 1000.0,
-            "unix_time_s": 1.7e9,
-            "kind": Happening.PLAN,
-            "severity": Severity.WARNING,
-            "text": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",
-            "details": {"cause": "down", "level_bytes_per_second": "540000"},
-            **more,
-        }
-    )
-
-
 def test_an_event_is_an_entry_with_its_fields(journal, logger):
     """Kind, severity, number, topic, node and every detail of an event are fields."""
-    log_event(event(topic="/scan", node="/lidar"))
+    details = {"cause": "down", "level_bytes_per_second": "540000"}
+    log_event(replace(EVENT, topic="/scan", node="/lidar", details=details))
     entry = journal.entry()
     assert {name: text for name, text in entry.items() if name.startswith(("ARPD_", "MESSAGE", "PRIO", "SYSLOG"))} == {
         "MESSAGE": "link fell to 4.8 Mbit/s: /camera/image 30 → 2.1 Hz",

@@ -9,7 +9,7 @@ import pytest
 
 from arpd.web.access import client_of
 from arpd.web.passwords import BURST, MAX_WAITING, Passwords, PasswordVerdict, bcrypt_matches
-from tests.unit.web_world import HASH, PASSWORD, Clock
+from tests.unit.web_world import HASH, PASSWORD
 
 USERS = {b"alice": b"ecila", b"bob": b"bob"}
 
@@ -17,7 +17,7 @@ USERS = {b"alice": b"ecila", b"bob": b"bob"}
 @pytest.fixture
 def passwords():
     reverse = Mock(side_effect=lambda password, hashed: password == hashed[::-1])
-    return Passwords(clock=Clock(), secret=b"s" * 32, check=reverse)
+    return Passwords(clock=Mock(return_value=0.0), secret=b"s" * 32, check=reverse)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_who_guesses_waits_and_who_is_remembered_does_not(passwords, judge):
     assert verdicts == [PasswordVerdict.WRONG] * int(BURST) + [PasswordVerdict.THROTTLED] * 3
     assert judge("alice", "alice", "a") is PasswordVerdict.CACHED
     assert judge("bob", "bob", "b") is PasswordVerdict.OK
-    passwords._clock.now_s = 1.0
+    passwords._clock.return_value = 1.0
     assert judge("alice", "x", "a") is PasswordVerdict.WRONG
     assert judge("alice", "x", "a") is PasswordVerdict.THROTTLED
 
@@ -61,7 +61,7 @@ def test_few_wait_for_bcrypt_and_one_runs():
         one_at_a_time.release()
         return False
 
-    passwords = Passwords(clock=Clock(), secret=b"s", check=slow)
+    passwords = Passwords(clock=Mock(return_value=0.0), secret=b"s", check=slow)
 
     async def flood():
         guesses = [asyncio.create_task(verdict(passwords, "alice", "x", f"{n}")) for n in range(MAX_WAITING + 3)]
