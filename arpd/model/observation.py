@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,7 +43,37 @@ class MemoryState:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Observation:
+class Surroundings:
+    """What one tick sees of the world, and the status tells as it is.
+
+    Parameters
+    ----------
+    memory : memory of the robot computer
+    sensing_topics, actuation_topics : topics in the ROS graph that cross the link, managed by arpd or not
+    rmw, rmw_refusal : middleware of ROS, and why arpd only paces publishers; empty if it can swap their writers
+    other_daemons : where the other arpd daemons in the ROS domain are, in words
+    active_daemon : where the active daemon is while this one stands by; empty if this one is active
+    radio_bytes_per_second : bit rate at which the radio transmits (bytes/s); None without a radio or its answer
+    relay : relay with two ends as its end on the robot tells it; None without one, and while that end is silent
+    """
+
+    memory: MemoryState
+    sensing_topics: int
+    actuation_topics: int
+    rmw: str = ""
+    rmw_refusal: str = ""
+    other_daemons: tuple[str, ...] = ()
+    active_daemon: str = ""
+    radio_bytes_per_second: float | None = None
+    relay: RelaySummary | None = None
+
+    def told(self) -> dict[str, Any]:
+        """Return these fields, to make a status with them."""
+        return {each.name: getattr(self, each.name) for each in fields(Surroundings)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation(Surroundings):
     """Everything one tick sees of the world.
 
     Parameters
@@ -52,22 +82,14 @@ class Observation:
     counters : the robot's link interface, None while it cannot be read
     reports : peer reports that arrived since the last tick, oldest first
     publishers : live AdaptivePublishers
-    memory : memory of the robot computer
-    sensing_topics, actuation_topics : topics in the graph that cross the link, managed by arpd or not
     peers : peers in the graph, None = not known; with none left, silence is no outage
-    rmw : the middleware of ROS, empty where there is none
-    rmw_refusal : why its publishers are only paced, empty when QoS swaps are on
-    other_daemons : where the other daemons in the ROS domain are, in words
-    active_daemon : where the active daemon is when that is another one, else empty
-    radio_bytes_per_second : bit rate at which the radio transmits, None without a radio or a reading (bytes/s)
     peer_ages_s : time since the last report of each peer heard in the last minute (s)
     peer_clocks : clocks of the peers against this host's, by peer; those that nothing tells are missing
     refused : messages, or parts of them, refused since the start, by kind and reason
     answers : of nodes to plans since the start, by result (``ok``, ``refused``, ``timeout``)
     pending : publishers that announce themselves but that the graph does not show (yet)
     left_out : publishers that arpd does not manage because there are too many, by node
-    relay : the relay with two ends, None without one and while its end on the robot tells nothing
-    is_relay_silent : True when that end should tell, and has told nothing for 4.5 s
+    is_relay_silent : True when the robot's end of the relay should tell, and has told nothing for 4.5 s
     domain : ROS domain in which publishers and peers are looked for, None without ROS
     remote_participants : processes across the link, each of which hears of every writer that comes or goes
     """
@@ -76,22 +98,13 @@ class Observation:
     counters: LinkCounters | None
     reports: tuple[PeerReport, ...]
     publishers: tuple[PublisherState, ...]
-    memory: MemoryState
-    sensing_topics: int
-    actuation_topics: int
     peers: int | None = None
-    rmw: str = ""
-    rmw_refusal: str = ""
-    other_daemons: tuple[str, ...] = ()
-    active_daemon: str = ""
-    radio_bytes_per_second: float | None = None
     peer_ages_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     peer_clocks: Mapping[str, ClockOffset] = field(default_factory=lambda: MappingProxyType({}))
     refused: Mapping[tuple[MessageKind, MessageRefusal], int] = field(default_factory=lambda: MappingProxyType({}))
     answers: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     pending: int = 0
     left_out: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    relay: RelaySummary | None = None
     is_relay_silent: bool = False
     domain: int | None = None
     remote_participants: int = 1

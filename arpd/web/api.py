@@ -10,7 +10,7 @@ from arpd.model.allocation import Allocation, TopicAllocation
 from arpd.model.endpoints import PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters, state_of
 from arpd.model.link import LinkEstimate
-from arpd.model.observation import MemoryState
+from arpd.model.observation import MemoryState, Surroundings
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.probing import ClockOffset
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 API_VERSION = "v1"
-# `Event` and `Topic` name them for type checkers only; who reads a document finds them here.
-NESTED = (Happening, PublisherState, TopicAllocation, TopicPlan)
+# `Event`, `Topic` and `Surroundings` name them for type checkers only; who reads a document finds them here.
+NESTED = (Happening, MemoryState, PublisherState, RelaySummary, TopicAllocation, TopicPlan)
 _MOST_EVENTS = 50
 
 
@@ -92,7 +92,7 @@ class Plan:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Status:
+class Status(Surroundings):
     """The answer of GET /api/v1/status: the daemon after its last finished tick.
 
     Within v1 new keys may come and none goes, so a reader must ignore unknown keys. Before the first tick the answer is
@@ -107,15 +107,9 @@ class Status:
     verdict : the condition of link and plan that matters most
     faults : those beside it, of ticks, configuration, relay, publishers and peers, the worst first
     interface, interface_state, interface_counters : the link interface; the counters are null while it is gone
-    radio_bytes_per_second : bit rate at which the radio transmits (bytes/s); null without a radio or its answer
     available_bytes_per_second : capacity left for arpd's topics (bytes/s on the wire)
     budget_bytes_per_second : what the topics may use now (bytes/s on the wire)
     allowed_ratio : part of the traffic above the minimum rates that the budget allows; 1 while no topic is slowed
-    sensing_topics, actuation_topics : topics in the ROS graph that cross the link, managed by arpd or not
-    rmw, rmw_refusal : middleware of ROS, and why arpd only paces publishers; empty if it can swap their writers
-    other_daemons : hosts of the other arpd daemons in the ROS domain
-    active_daemon : host of the active daemon while this one stands by; empty if this one is active
-    relay : relay with two ends as its end on the robot tells it; null without one, and while that end is silent
     price : null while no topic shares the link
     allocation : the program's answer in the last tick
     lease_s : silence of the daemon after which publishers return to their own QoS, 0 = never (s)
@@ -137,19 +131,10 @@ class Status:
     interface_state: InterfaceState
     interface_counters: LinkCounters | None
     link: LinkEstimate
-    radio_bytes_per_second: float | None
     available_bytes_per_second: float
     budget_bytes_per_second: float
     allowed_ratio: float
     peers: tuple[Peer, ...]
-    memory: MemoryState
-    sensing_topics: int
-    actuation_topics: int
-    rmw: str
-    rmw_refusal: str
-    other_daemons: tuple[str, ...]
-    active_daemon: str
-    relay: RelaySummary | None
     price: Price | None
     plan: Plan
     allocation: Allocation
@@ -195,6 +180,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
     observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
     head = Status(
         version=snapshot.version,
+        **observation.told(),
         ready=True,
         unix_time_s=snapshot.unix_time_s,
         age_s=max(0.0, now_s - snapshot.finished_at_s),
@@ -205,7 +191,6 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
         interface_state=state_of(observation.counters),
         interface_counters=observation.counters,
         link=link,
-        radio_bytes_per_second=observation.radio_bytes_per_second,
         available_bytes_per_second=link.available_bytes_per_second,
         budget_bytes_per_second=snapshot.allocation.budget_bytes_per_second,
         allowed_ratio=decision.allowed,
@@ -213,14 +198,6 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
             Peer(peer=peer, report_age_s=age_s, clock=observation.peer_clocks.get(peer))
             for peer, age_s in sorted(observation.peer_ages_s.items())
         ),
-        memory=observation.memory,
-        sensing_topics=observation.sensing_topics,
-        actuation_topics=observation.actuation_topics,
-        rmw=observation.rmw,
-        rmw_refusal=observation.rmw_refusal,
-        other_daemons=observation.other_daemons,
-        active_daemon=observation.active_daemon,
-        relay=observation.relay,
         price=snapshot.allocation.price,
         plan=Plan(
             generation=decision.plan.generation,
