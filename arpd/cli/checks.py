@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from arpd import __version__
 from arpd.cli.no_daemon import failure
 from arpd.host import kernel, radio
-from arpd.host.interface import SYS_NET, ipv4_addresses, read_number
+from arpd.host.interface import SYS_NET, interface_to, ipv4_addresses, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_duration, format_number, format_share, format_size, printable
 from arpd.model.wire import MOST_PACKET_BYTES, MTU_BYTES
@@ -38,6 +38,10 @@ _FEW_LOST, _LITTLE_LOST, _LITTLE_INCOMPLETE = 10, 1e-4, 0.01
 _FAST_DDS = "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
 _FOR_ARPD = "echo {} | sudo tee -a /etc/default/arpd && sudo systemctl restart 'arpd*'"
 _LONGEST_LINE = 400
+_TWO_ENDS = (
+    "carry the topics with two ends: relay.link_domain in arpd.yaml, and ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST "
+    "for your nodes"
+)
 # As `status_line` of the relay and `ProbeStatus` of the peer have it, and a far end that has nothing to do.
 _HEARS_ITS_ROBOT = re.compile(
     r"\d+ of \d+ topics cross to the robot, \d+ of \d+ to the base computer$|.*; probes arrive since|nothing to do"
@@ -190,9 +194,19 @@ def mtu(here: Here) -> Finding:
 def discovery(here: Here) -> Finding:
     """Judge how many participants other than arpd's announce themselves on the link.
 
-    With two ends nobody needs to. With one end the nodes find each other across the link, so only many are too many.
+    With two ends nobody needs to. With one end the nodes find each other across the link, so only many are too many,
+    and those that tell of two networks get each sample twice.
     """
     heard, has_two_ends = here.heard, here.settings.relay.link_domain is not None
+    for one in (one for one in heard.announcers if not one.is_here and not has_two_ends):
+        reached = [address for address in sorted(one.addresses) if interface_to(address) == here.interface]
+        if len(reached) > 1:
+            return wrong(
+                f"{one.process} of {one.host} tells {len(reached)} addresses that {here.interface} leads to "
+                f"({listed(reached)}), so every sample for it crosses {len(reached)} times",
+                _TWO_ENDS,
+                "or keep its nodes off the other network: an interfaceWhiteList in their Fast DDS profile",
+            )
     own = [one.process for one in heard.announcers if one.is_here and not one.is_arpds]
     by_host = Counter(one.host for one in heard.announcers if not one.is_here)
     if not has_two_ends:  # else arpd's own are in the link domain
@@ -211,11 +225,7 @@ def discovery(here: Here) -> Finding:
         )
     if others <= _MANY_PARTICIPANTS:
         return fine(found)
-    return wrong(
-        f"{found}, and unicast discovery about twice as much",
-        "carry the topics with two ends: relay.link_domain in arpd.yaml, and ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST "
-        "for your nodes",
-    )
+    return wrong(f"{found}, and unicast discovery about twice as much", _TWO_ENDS)
 
 
 def _may_share(memory: tuple[int, ...], shared: Iterable[tuple[int, ...]]) -> bool:

@@ -30,6 +30,15 @@ def ip(host, *argv):
     subprocess.run([executable("ip"), "-n", host.namespace, *argv], check=True, capture_output=True)
 
 
+def second_network(hosts):
+    """Give the base computer a network that the robot's default route leads to, as of Docker."""
+    ip(hosts.base, "link", "add", "docker0", "type", "veth", "peer", "name", "inside")
+    ip(hosts.base, "addr", "add", "172.17.0.1/16", "dev", "docker0")
+    for end in ("docker0", "inside"):
+        ip(hosts.base, "link", "set", end, "up")
+    ip(hosts.robot, "route", "add", "default", "via", "10.77.0.2")
+
+
 class Hosts:
     """Starts programs on the hosts; `arpd` is this checkout's, and the working directory is the test's.
 

@@ -7,7 +7,7 @@ import pytest
 
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.netns.simlink import INTERFACE
-from tests.all.link.hosts import NEEDS_LINK, NODE, ip
+from tests.all.link.hosts import NEEDS_LINK, NODE, ip, second_network
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
@@ -53,6 +53,19 @@ def test_both_ends_are_looked_at(hosts):
         return health == "fine" and "1 of this computer (node.py)" in text
 
     eventually("the node's participant is found on the robot", is_the_node_alone)
+
+
+def test_a_second_network_of_the_other_computer_is_found(hosts):
+    """The link leads there, too, so its nodes get every sample twice."""
+    second_network(hosts)
+    (hosts.folder / "arpd.yaml").touch()
+    hosts.node("base", "planner", "read:/image:std_msgs/String")
+
+    def judged():
+        health, text = doctor(hosts, "robot", "--listen", "4")["discovery"]
+        return health == "wrong" and "10.77.0.2 and 172.17.0.1" in text
+
+    eventually("the doctor names both addresses", judged)
 
 
 def test_with_two_ends_a_node_that_announces_itself_is_found(hosts):

@@ -2,11 +2,10 @@
 
 import json
 
-from tests.all.link.hosts import NEEDS_LINK, ip
+from tests.all.link.hosts import NEEDS_LINK, second_network
 from tests.waiting import eventually
 
 pytestmark = NEEDS_LINK
-ENDS = "docker0", "inside"
 REFUSED = "/cries does not cross as it should: /crier of the other side is visible in this domain without the relay"
 
 
@@ -25,11 +24,8 @@ def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
 
 
 def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts):
-    """As of Docker, to which the default route leads over the link, too."""
-    ip(hosts.base, "link", "add", "docker0", "type", "veth", "peer", "name", "inside")
-    for change in (["addr", "add", "172.17.0.1/16", "dev", "docker0"], *(["link", "set", each, "up"] for each in ENDS)):
-        ip(hosts.base, *change)
-    ip(hosts.robot, "route", "add", "default", "via", "10.77.0.2")
+    """It tells the ends' address alone, so the default route leads nothing there."""
+    second_network(hosts)
     (hosts.folder / "arpd.yaml").write_text("relay: {link_domain: 102, robot: 10.77.0.1, base: 10.77.0.2}\n")
     confined = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     hosts.start("robot", "near", "arpd", "relay", "--config", "arpd.yaml", **confined)

@@ -168,6 +168,17 @@ def test_a_node_over_tcp_without_arpds_shared_memory_is_named(transport, memory,
     assert ("talker" in judged.text) == is_cut_off
 
 
+@pytest.mark.parametrize(("second", "health"), [("wlan0", "wrong"), ("docker0", "fine"), (None, "fine")])
+def test_another_computer_of_two_networks_that_the_link_leads_to_is_named(monkeypatch, second, health):
+    """Every sample for it crosses twice; an address that leads elsewhere, or nowhere, costs the link nothing."""
+    routes = {"10.0.0.2": "wlan0", "172.17.0.1": second}
+    monkeypatch.setattr(checks, "interface_to", routes.get)
+    own = announcer(is_here=True, addresses=frozenset(routes))
+    found = checks.discovery(hears(own, announcer(addresses=frozenset(routes))))
+    assert found.health == health
+    assert ("10.0.0.2 and 172.17.0.1" in found.text) == (health == "wrong")
+
+
 def test_no_name_from_the_network_stands_in_a_line_to_copy():
     """Anybody may announce a host and a process by any name."""
     strangers = [
