@@ -18,7 +18,7 @@ from arpd.daemon.tick import Daemon
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
-from arpd.host.kernel import interface_of_link, own_address
+from arpd.host.kernel import check_place, interface_of_link, own_address
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
@@ -113,6 +113,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     link_domain = settings.relay.link(is_far=False)
+    check_place(link_domain, is_far=False)
     own = own_address(link_domain)
     addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:

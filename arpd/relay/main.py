@@ -21,7 +21,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.host.addresses import Addresses
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import link_interface, own_address
+from arpd.host.kernel import check_place, link_interface, own_address
 from arpd.host.notify import Notifier
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
@@ -69,6 +69,8 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
 
     Raises
     ------
+    ConfigError
+        If the configuration cannot be used, or this is the computer of the other end.
     LinkError
         If only a new process can use the link's address.
     RosUnavailableError
@@ -82,6 +84,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     notifier = Notifier()
     interface = AUTO if is_far else settings.link.interface  # the file names the robot's
     relay, link = settings.relay, settings.relay.link(is_far=is_far)
+    check_place(link, is_far=is_far)
     own = own_address(link)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
 

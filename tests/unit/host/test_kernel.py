@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 
 from arpd.host import kernel
 from arpd.host.interface import interface_to
-from arpd.host.kernel import counters, interface_of_link, is_own_address, link_interface, own_address, route_mtu
+from arpd.host.kernel import (
+    check_place,
+    counters,
+    interface_of_link,
+    is_own_address,
+    link_interface,
+    own_address,
+    route_mtu,
+)
+from arpd.model.errors import ConfigError
 from arpd.model.settings import LinkDomain
 
 SNMP = "Udp: InDatagrams RcvbufErrors\nUdp: 1000 7\nUdpLite: InDatagrams RcvbufErrors\nUdpLite: 9 9\n"
@@ -79,3 +90,23 @@ def test_an_end_s_own_address_is_the_configured_one_or_that_of_the_route_to_the_
 def test_a_process_without_a_link_domain_has_no_address_to_tell():
     """It tells all of its addresses, as any node."""
     assert own_address(None)() is None
+
+
+@pytest.mark.parametrize(
+    ("own", "peer", "is_refused"),
+    [
+        ("192.0.2.1", "10.0.0.5", True),
+        ("", "10.0.0.5", True),
+        ("10.0.0.5", "10.0.0.5", False),
+        ("10.0.0.5", "192.0.2.1", False),
+        ("", "127.0.0.1", False),
+        ("10.0.0.5", "nowhere", False),
+    ],
+)
+def test_an_end_on_the_computer_of_the_other_one_is_refused(monkeypatch, own, peer, is_refused):
+    """The message tells what belongs there; where both ends are on one computer, each is at its place."""
+    routes = {"192.0.2.1": ("10.0.0.5", "192.0.2.1"), **{each: (each, each) for each in ("10.0.0.5", "127.0.0.1")}}
+    monkeypatch.setattr(kernel, "_ends_of_route", routes.get)
+    for is_far, said in ((False, "relay.base: .*arpd-relay-far"), (True, "relay.robot: .*arpd-relay belong")):
+        with pytest.raises(ConfigError, match=said) if is_refused else nullcontext():
+            check_place(LinkDomain(domain_id=77, peer=peer, own=own), is_far=is_far)
