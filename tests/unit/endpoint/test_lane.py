@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
-from arpd.endpoint.meters import SampleRate
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 
@@ -178,15 +177,3 @@ def test_what_is_on_its_way_or_was_just_now_is_known():
     assert lane.is_sending("answer", 60.0)
     lane.ended(60.0)
     assert [lane.is_sending("answer", at_s) for at_s in (61.0, 70.0)] == [True, False]
-
-
-def test_what_waited_for_a_caller_that_was_held_up_is_no_rate():
-    """After a stall the queued samples come at once; the rate is that of the samples that follow."""
-    rate, now_s = SampleRate(), 100.0
-    for _ in range(100):
-        now_s += 0.001
-        rate.count(now_s)
-    for _ in range(20):
-        now_s += 0.05
-        rate.count(now_s)
-    assert rate.rate_hz(now_s) == pytest.approx(20.0, rel=0.02)

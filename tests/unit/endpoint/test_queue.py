@@ -6,15 +6,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.wire import wire_size
-from tests.examples import examples
 
 CAPACITY = 1e6
 LARGE, SMALL = 50_000, 500
@@ -111,22 +108,6 @@ def test_a_sample_that_left_in_a_fade_holds_up_none_after_it():
     robot.queue.retune(robot.lanes["camera"], plan(5.0), replace(faded, capacity_bytes_per_second=CAPACITY))
     robot.play({"camera": (5.0, LARGE)}, 2.0)
     assert len(robot.left["camera"]) > 8
-
-
-@examples(25)
-@given(st.lists(st.tuples(st.floats(1.0, 15.0), st.floats(2.0, 30.0)), min_size=1, max_size=4))
-def test_no_topic_loses_rate_to_its_turn(topics):
-    """Each topic keeps its rate where the link carries them all, and most of it where it does not."""
-    robot = Participant()
-    size = 13_000
-    sources = {}
-    for name, (rate_hz, source_hz) in enumerate(topics):
-        robot.topic(name, plan(rate_hz, size))
-        sources[name] = source_hz, size
-    load = sum(plan(1.0, size).wire_bytes / CAPACITY * min(each) for each in topics)
-    robot.play(sources, 6.0)
-    for name, each in enumerate(topics):
-        assert len(robot.left[name]) >= (0.9 if load < 0.9 else 0.6) * 6.0 * min(each) - 2
 
 
 def test_a_lane_that_a_thread_is_at_delays_no_other_one():

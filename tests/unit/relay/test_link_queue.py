@@ -285,19 +285,6 @@ def test_after_an_outage_the_newest_of_each_source_leaves_once():
     assert tf.withheld == {"blocked": 18}
 
 
-def test_a_topic_that_is_removed_sends_no_more():
-    """What waits and what is under way is withheld and counted, and the others go on."""
-    link = Link()
-    gone, stays = link.lane("gone"), link.lane("stays")
-    for source in "ab":
-        link.offer("gone", bytes(LARGE), source=source)
-    assert link.take()[0] is gone
-    link.offer("stays", bytes(LARGE))
-    link.queue.remove(gone)
-    assert link.take()[0] is stays
-    assert gone.withheld == {"closed": 2}
-
-
 def loads(link):
     """Return the letters in each packet of messages that leave together now, and how many others leave alone."""
     ready = list(iter(lambda: link.queue.take(link.now_s), None))
@@ -333,19 +320,6 @@ def test_a_topic_quicker_than_packets_leave_does_not_wait():
     link.run(2.0)
     assert len(quick) <= 2
     assert quick.withheld.total() == 0
-
-
-def test_on_a_fast_link_too_quick_topics_share_their_packets():
-    """Two topics of 500 Hz take a packet for two samples: without company each would have its own."""
-    link = Link(capacity=20 * CAPACITY)
-    price = replace(price_of(1.0), capacity_bytes_per_second=link.capacity)
-    for name, size, after_s in (("joints", 410, 0.0), ("wrench", 420, 0.0003)):
-        link.lane(name, replace(ROW, rate_hz=600.0, wire_bytes=600.0, packets=1), price, has_company=True)
-        link.after(after_s, partial(link.publish, name, 500.0, size))
-    link.run(1.0)
-    packets = link.arrived["together"]
-    assert sum(map(len, packets)) > 490 * (410 + 420)
-    assert len(packets) < 600
 
 
 def test_the_thread_wakes_by_itself_for_what_quick_topics_will_bring():
