@@ -108,6 +108,12 @@ class GraphView:
         """Return the writers of a topic; none where the graph has a name that is no text."""
         return self._once("writers", topic, lambda: writers_of(self._node, topic), ())
 
+    def writers_now(self, topic: str) -> tuple[Endpoint, ...]:
+        """Return the writers of a topic as they are at this moment, however long the graph may rest."""
+        with self._lock:
+            self._known.pop(("writers", topic), None)
+            return self.writers(topic)
+
     def readers(self, topic: str) -> tuple[Endpoint, ...]:
         """Return the readers of a topic, likewise."""
         return self._once("readers", topic, lambda: readers_of(self._node, topic), ())

@@ -1,6 +1,7 @@
 """The relay with real rclpy: unmodified publishers in, AdaptivePublishers out."""
 
 import threading
+import time
 from contextlib import ExitStack, closing
 
 import pytest
@@ -129,6 +130,32 @@ def test_a_writer_is_known_for_half_a_minute_after_it_left():
     assert first.gid not in surveyed.known
     assert (offered_at(133.0, second, nameless), surveyed.is_waiting) == ([second, nameless], False)
     assert offered_at(134.0, nameless) == [nameless]
+
+
+def test_a_writer_that_leaves_at_once_is_told_of():
+    """A script publishes and ends before the graph is read again: its sample makes it known, and offered for 1 s."""
+
+    class View:
+        now, read, ours = (Endpoint(gid=bytes(16)),), (), frozenset()
+
+        def look(self):
+            return 1
+
+        def writers_now(self, _topic):
+            self.read = self.now
+
+        def writers(self, _topic):
+            return self.read
+
+    view = View()
+    surveyed = Surveyed(view, "/stop")
+    assert surveyed.writer(bytes(16))
+    view.now = view.read = ()
+    for _ in range(2):
+        surveyed.look(1)
+        assert [writer.gid for writer in surveyed.writers] == [bytes(16).hex()]
+    surveyed.read((), time.monotonic() + 2.0)
+    assert not surveyed.writers
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):

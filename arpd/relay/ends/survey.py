@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 from arpd.relay.ends.offers import WriterOffer
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left
+_TOLD_S = 1.0  # a writer that left before it was told of: the other end needs its name for its samples
+_MOST_SOUGHT = 100
 _TOLD = ("node", "is_reliable", "is_latched", "deadline_ns", "lifespan_ns", "lease_ns", "is_manual")
 
 
@@ -39,7 +42,8 @@ class Surveyed:
         self.writers: tuple[WriterOffer, ...] = ()
         self.known: Mapping[bytes, WriterOffer] = {}  # by GUID, with those that left, whose samples may still come
         self._left_s: dict[bytes, float] = {}
-        self.is_waiting = False  # whether the node of a writer may still become known
+        self.is_waiting = False  # whether to read again though nothing changes: a node may become known, or be told
+        self._sought: deque[bytes] = deque(maxlen=_MOST_SOUGHT)  # writers of which a sample came first
         self._unnamed_s: dict[bytes, float] = {}  # writers whose node is not known, and since when
 
     def look(self, changes: int) -> None:
@@ -52,6 +56,10 @@ class Surveyed:
         """Return the writer with this GUID, after another look where it is not known; for any thread."""
         if gid not in self.known:
             self._view.look()
+            with self._lock:
+                if gid not in self._sought:  # the script that wrote it may be gone before the next look
+                    self._sought.append(gid)
+                    self._view.writers_now(self.local)
             self._read()
         return self.known.get(gid)
 
@@ -77,7 +85,9 @@ class Surveyed:
         self._left_s = {gid: self._left_s.get(gid, now_s) for gid in self.known.keys() - present}
         left = {gid: self.known[gid] for gid, left_s in self._left_s.items() if now_s - left_s < _REMEMBERED_S}
         self.known = left | present
-        self.writers = (*present.values(),)
+        brief = [gid for gid in self._sought if gid in left and now_s - self._left_s[gid] < _TOLD_S]
+        self.is_waiting |= bool(brief)
+        self.writers = (*present.values(), *(left[gid] for gid in brief))
 
 
 def _offer(found: Endpoint) -> WriterOffer:
