@@ -42,14 +42,6 @@ def test_table_2(backend, row):
     assert (period, applied) == (pytest.approx(10**9 / float(rate), rel=1e-6), depth_floor)
 
 
-@pytest.mark.parametrize("backend", Backend)
-@pytest.mark.parametrize("rate", [1, 2, 3, 7, 8, 9, 10, 29, 89, 99])
-def test_integer_optimum_is_not_floored_away(backend, rate):
-    """An optimum that is a whole number of Hz is shown as that number, not as the one below."""
-    (rate_hz, _), used = Solver(backend).eq4(Eq4Problem(max_rate_hz=12 * (rate + 1), topics=12))
-    assert (whole(rate_hz), used) == (rate, backend)
-
-
 def test_too_many_topics_are_infeasible():
     """More topics than Rmax carries at Rmin give a refusal that names (2), a depth floor out of reach one for (3)."""
     assert Eq4Problem(max_rate_hz=20, topics=12).refusal().startswith("(2) leaves ")
