@@ -15,13 +15,12 @@ from arpd.host.interface import index_of, ipv4_addresses
 from arpd.host.kernel import PROC
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import printable
-from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, MOST_DOMAIN, UDP_BYTES
+from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, MOST_DOMAIN, UDP_BYTES, domain_port
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
-_PORT, _PORTS_OF_DOMAIN = 7400, 250
 _GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS message
 _FIRST_SUBMESSAGE = 20
 _DATA, _LITTLE_ENDIAN = 0x15, 0x01
@@ -256,7 +255,7 @@ def discovery_socket(domain_id: int) -> socket.socket:
     ear = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        ear.bind((_GROUP, _PORT + _PORTS_OF_DOMAIN * domain_id))
+        ear.bind((_GROUP, domain_port(domain_id)))
     except BaseException:
         ear.close()
         raise

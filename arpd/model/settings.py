@@ -19,7 +19,7 @@ from pydantic import Field
 from arpd.model.endpoints import Overflow
 from arpd.model.kinds import NONE, Address, NamePattern, Namespace, Prefix, TopicName, duration, or_word, rate, size
 from arpd.model.names import compile_patterns
-from arpd.model.wire import MOST_DOMAIN
+from arpd.model.wire import MOST_DOMAIN, domain_port
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
@@ -231,6 +231,12 @@ class RelaySettings(Section):
     def link_prefix(self) -> str:
         """Text that stands before the name of a carried topic on the link: nothing with two ends."""
         return self.prefix if self.link_domain is None else ""
+
+    @property
+    def ports(self) -> tuple[int, int]:
+        """First and last UDP port of the link domain: of the four participants that one is announced to."""
+        first = domain_port(self.link_domain or 0) + 10
+        return first, first + 7
 
     def link(self, *, is_far: bool) -> LinkDomain | None:
         """Return the link as one end sees it; None for a relay with one end.

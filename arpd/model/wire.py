@@ -36,6 +36,11 @@ CLEAN_LOSS_RATIO = 0.005
 _ENDPOINT_DATA_BYTES, _GUID_BYTES, _NODE_NAMES_BYTES = 1000, 16, 200
 
 
+def domain_port(domain_id: int) -> int:
+    """Return the UDP port of a domain's multicast discovery, the first of its ports (RTPS 2.3 §9.6.1)."""
+    return 7400 + 250 * domain_id
+
+
 def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
     """Return bytes and packets that one reliable sample puts on the link, for one reader.
 

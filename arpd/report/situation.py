@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from arpd.model.relay import RelaySummary
+    from arpd.model.settings import RelaySettings
     from arpd.report.snapshot import Snapshot
     from arpd.report.topic_rows import Topic
 
@@ -173,7 +174,7 @@ def _of_relay(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.RELAY_SILENT, f"it tells this daemon nothing; {start}; or see journalctl -u arpd-relay")
     if relay is None:
         return
-    if not is_cut(snapshot) and (why := _why_cut(relay)):
+    if not is_cut(snapshot) and (why := _why_cut(relay, snapshot.settings.relay)):
         yield Finding(Condition.RELAY_CUT, why)
     if refused := {**relay.to_robot.refused, **relay.to_base.refused}:
         first, *more = sorted(refused)
@@ -181,16 +182,17 @@ def _of_relay(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.RELAY_REFUSES, f"{short(first)}: {refused[first]}{also}", " ".join(sorted(refused)))
 
 
-def _why_cut(relay: RelaySummary) -> str:
+def _why_cut(relay: RelaySummary, settings: RelaySettings) -> str:
     if relay.fault:
         return f"the base computer's end cannot be used: {relay.fault}"
     if relay.is_reachable:
         return ""
-    who = "no end on the base computer is heard"
+    see = "start it there: sudo systemctl enable --now arpd-relay-far; or see its journal"
     if relay.other_host:
-        who = f"the base computer's end on {relay.other_host} is silent"
-    start = "start it there: sudo systemctl enable --now arpd-relay-far"
-    return f"{who}, so no topic crosses; {start}; or see its journal"
+        return f"the base computer's end on {relay.other_host} is silent, so no topic crosses; {see}"
+    first, last = settings.ports
+    firewall = f"a firewall must let UDP ports {first} to {last} in, on both computers"
+    return f"no end on the base computer is heard, so no topic crosses; {see}; {firewall}"
 
 
 def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """What may cross a real link: with two ends nothing but arpd's, and no topic only to be measured."""
 
 import json
+import re
 
 from tests.all.link.hosts import NEEDS_LINK, second_network
 from tests.waiting import eventually
@@ -9,13 +10,24 @@ pytestmark = NEEDS_LINK
 REFUSED = "/cries does not cross as it should: /crier of the other side is visible in this domain without the relay"
 
 
+CONFINED = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def two_ends(hosts):
+    (hosts.folder / "arpd.yaml").write_text("relay: {link_domain: 102, robot: 10.77.0.1, base: 10.77.0.2}\n")
+    hosts.start("robot", "near", "arpd", "relay", "--config", "arpd.yaml", **CONFINED)
+    hosts.start("base", "far", "arpd", "relay", "--config", "arpd.yaml", "--far", **CONFINED)
+
+
+def nft(hosts, host, rules):
+    _, error, code = hosts.call(host, "nft", rules)
+    assert code == 0, error
+
+
 def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
     """A node of the robot that announces itself on the link is refused by name; a confined one is not."""
-    (hosts.folder / "arpd.yaml").write_text("relay: {link_domain: 102, robot: 10.77.0.1, base: 10.77.0.2}\n")
-    confined = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    hosts.start("robot", "near", "arpd", "relay", "--config", "arpd.yaml", **confined)
-    hosts.start("base", "far", "arpd", "relay", "--config", "arpd.yaml", "--far", **confined)
-    hosts.node("robot", "whisperer", "write:/whispers:std_msgs/String", **confined)
+    two_ends(hosts)
+    hosts.node("robot", "whisperer", "write:/whispers:std_msgs/String", **CONFINED)
     for end in ("near", "far"):
         eventually("both ends meet", lambda end=end: "the other end is" in hosts.text(end))
     hosts.node("robot", "crier", "write:/cries:std_msgs/String")
@@ -26,12 +38,9 @@ def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
 def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts):
     """It tells the ends' address alone, so the default route leads nothing there."""
     second_network(hosts)
-    (hosts.folder / "arpd.yaml").write_text("relay: {link_domain: 102, robot: 10.77.0.1, base: 10.77.0.2}\n")
-    confined = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    hosts.start("robot", "near", "arpd", "relay", "--config", "arpd.yaml", **confined)
-    hosts.start("base", "far", "arpd", "relay", "--config", "arpd.yaml", "--far", **confined)
-    hosts.node("robot", "camera", "write:/pictures:std_msgs/String:20000", **confined)
-    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **confined)
+    two_ends(hosts)
+    hosts.node("robot", "camera", "write:/pictures:std_msgs/String:20000", **CONFINED)
+    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **CONFINED)
 
     def seen():
         return hosts.text("planner").count("/pictures")
@@ -41,6 +50,24 @@ def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts)
     eventually("more has crossed", lambda: seen() >= before + 60)
     sent_bytes = hosts.link.counters()["robot"].tx_bytes - sent_bytes
     assert sent_bytes / (seen() - before) < 1.5 * 20_000
+
+
+def test_a_firewall_must_let_in_the_ports_that_the_status_names(hosts):
+    """With them open, and nothing else but loopback, topics cross."""
+    for host in hosts.link.hosts:
+        nft(hosts, host, "table inet f { chain i { type filter hook input priority 0; policy drop; iif lo accept; }; }")
+    two_ends(hosts)
+    hosts.start("robot", "run", "arpd", "run", "--config", "arpd.yaml", **CONFINED)
+
+    def named():
+        return re.search(r"let UDP ports (\d+) to (\d+) in, on both", str(hosts.status()))
+
+    first, last = eventually("the status names ports", named).groups()
+    for host in hosts.link.hosts:
+        nft(hosts, host, f"add rule inet f i udp dport {first}-{last} accept")
+    hosts.node("robot", "camera", "write:/pictures:std_msgs/String", **CONFINED)
+    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **CONFINED)
+    eventually("the topic crosses", lambda: "/pictures" in hosts.text("planner"))
 
 
 def test_topics_of_the_other_computer_do_not_cross_to_be_measured(hosts):

@@ -81,6 +81,13 @@ def test_faults_stand_beside_the_verdict_the_worst_first():
     assert judge(changed(), now_s=FINISHED_AT_S + Condition.STALE.holds_s).faults == ()
 
 
+def test_the_ports_of_the_link_are_named_while_its_other_end_was_never_heard():
+    """An end that spoke before is behind no firewall."""
+    for other_host, is_named in (("", True), ("base", False)):
+        snapshot = held(starting(TWO_ENDS, relay=of_relay(is_reachable=False, other_host=other_host)))
+        assert ("UDP ports 26660 to 26667" in findings(snapshot)[Condition.RELAY_CUT]) is is_named
+
+
 @pytest.mark.parametrize("condition", [each for each in Condition if each.holds_s and each is not Condition.STALE])
 def test_a_condition_counts_once_it_has_held_for_its_time(condition):
     """The monotonic clock counts, whatever somebody sets the wall clock to."""
