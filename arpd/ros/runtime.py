@@ -271,7 +271,8 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
     before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
     environment.update(own)
     environment.pop(_SERVER, None)  # the robot's discovery server is in its own domain, and knows nothing of the link
-    if environment.get(_VARIABLE, "").startswith("SHM"):  # which suits the nodes around, and leaves no host
+    # What else suits the nodes around leaves no host (SHM), or carries half as much here (LARGE_DATA, measured).
+    if environment.get(_VARIABLE, "").partition("?")[0] not in {"", "DEFAULT", "UDPv4"}:
         environment[_VARIABLE] = "UDPv4"
     send_without_waiting(environment)
     try:
