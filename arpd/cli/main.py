@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130  # 128 + SIGINT, what a shell reports
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, the same
+# Of a full disk, a quota, a limit of the shell, a terminal that is gone: nothing but standard output raises them.
+_OF_OUTPUT = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 COMMANDS = {
     "run": ("processes", "run the daemon on the robot computer"),
     "relay": ("processes", "carry topics of nodes whose code is not yours"),
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _unwritten(error: OSError) -> int:
-    if error.errno not in {errno.EPIPE, errno.ENOSPC}:  # which nothing but standard output raises
+    if error.errno not in _OF_OUTPUT:
         raise error
     # The interpreter flushes stdout at exit, which must not raise again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -197,14 +197,15 @@ def test_a_terminal_that_lacks_a_character_gets_a_question_mark(run, monkeypatch
 @pytest.mark.parametrize(
     ("line", "exits", "said"),
     [
-        ("solve --rmax 100 --sensing 11 --actuation 1 >/dev/full", 1, b"arpd: No space left on device\n"),
+        (f"solve --rmax 100 {TOPICS} >/dev/full", 1, b"arpd: No space left on device\n"),
+        (f"solve --rmax 100 {TOPICS} >$FILE", 1, b"arpd: File too large\n"),
         ("simulate --rate 0:8mbit --duration 20s >&-", 0, b""),
         ("simulate --rate 0:8mbit --duration 20s >&- 2>&-", 0, b""),
     ],
 )
-def test_an_output_that_takes_nothing_ends_with_no_traceback(line, exits, said):
-    """A full disk is a failure, in one sentence; a closed stream is none."""
-    command = f"{sys.executable} -m arpd.cli {line}"
+def test_an_output_that_takes_nothing_ends_with_no_traceback(tmp_path, line, exits, said):
+    """A full disk, or a file at its limit, is a failure, in one sentence; a closed stream is none."""
+    command = f"ulimit -f 0; FILE={tmp_path}/file; {sys.executable} -m arpd.cli {line}"
     ran = subprocess.run(command, shell=True, check=False, stderr=subprocess.PIPE)
     assert (ran.returncode, ran.stderr) == (exits, said)
 
