@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 SYS_NET = Path("/sys/class/net")
-_ELSEWHERE, _DISCARD_PORT = "203.0.113.1", 9  # behind the default route (RFC 5737); nothing is sent there
+_PROC_ROUTE = Path("/proc/net/route")  # the main table: a VPN that takes all traffic by rules of its own is not in it
+_DISCARD_PORT = 9  # nothing is sent there
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 _CHOOSE_S, _LOST_S = 1.0, 10.0
 _UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
@@ -54,7 +55,7 @@ def likeliest_interface() -> str | None:
     if radios := running_radios():
         return radios[0]
     others = [name for name in list_interfaces() or () if name != "lo"]
-    if (routed := interface_to(_ELSEWHERE)) in others:
+    if (routed := _default_route()) in others:
         return routed
     return others[0] if len(others) == 1 else None
 
@@ -73,6 +74,16 @@ def of_route(address: str, read: Callable[[socket.socket], T]) -> T | None:
             return read(route)
     except (OSError, UnicodeError):  # a name with an empty label cannot be asked for
         return None
+
+
+def _default_route() -> str:
+    """Return the interface of the IPv4 default route (/proc/net/route, proc_net(5)), empty if there is none."""
+    try:
+        lines = _PROC_ROUTE.read_text().splitlines()[1:]
+    except OSError:
+        return ""
+    fields = (line.split() for line in lines)
+    return next((field[0] for field in fields if len(field) > 1 and field[1] == "00000000"), "")
 
 
 def is_radio(name: str) -> bool:

@@ -12,6 +12,7 @@ from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState
 
 UP, DOWN = True, False
+ROUTE = "Iface\tDestination\tGateway\neth0\t00000000\t0100000A\n"
 CABLE, RADIO = "plain", "wireless"
 
 
@@ -19,7 +20,7 @@ CABLE, RADIO = "plain", "wireless"
     ("interfaces", "chosen"),
     [
         ({"eth0": (UP, CABLE), "wlan0": (DOWN, RADIO), "wlan1": (UP, RADIO)}, "wlan1"),
-        ({"eth0": (UP, CABLE), "eth1": (UP, CABLE), "wlan0": (DOWN, RADIO)}, "eth0"),
+        ({"eth0": (UP, CABLE), "wg0": (UP, CABLE), "wlan0": (DOWN, RADIO)}, "eth0"),
         ({"usb0": (UP, CABLE)}, "usb0"),
         ({"usb1": (UP, CABLE), "usb2": (UP, CABLE)}, None),
     ],
@@ -29,7 +30,9 @@ def test_auto_takes_the_radio_then_the_default_route_then_the_only_one(tmp_path,
     for name, (_, kind) in interfaces.items():
         (tmp_path / name / kind).mkdir(parents=True)
     monkeypatch.setattr(interface, "SYS_NET", tmp_path)
-    monkeypatch.setattr(interface, "interface_to", lambda _address: "eth0")
+    (tmp_path / "route").write_text(ROUTE)
+    monkeypatch.setattr(interface, "_PROC_ROUTE", tmp_path / "route")
+    monkeypatch.setattr(interface, "interface_to", lambda _address: "wg0")  # a VPN takes all traffic
     monkeypatch.setattr(interface, "list_interfaces", lambda: ["lo", *interfaces])
     states = {UP: InterfaceState.UP, DOWN: InterfaceState.NO_CARRIER}
     kernel = Kernel()
