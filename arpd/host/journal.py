@@ -93,7 +93,7 @@ def configure_logging(level: str, *, name: str = "arpd", journal: Path = SOCKET)
     with suppress(OSError, ValueError):  # stderr is closed, or JOURNAL_STREAM no file
         has_stderr = check_journal_stream()
     if has_stderr and journal.is_socket():
-        unit = Path(os.environ.get("RUNTIME_DIRECTORY", name)).name  # systemd.exec(5); arpd's units name theirs so
+        unit = Path(os.environ.get("RUNTIME_DIRECTORY") or name).name  # systemd.exec(5); arpd's units name theirs so
         handler: logging.Handler = JournalHandler(unit, path=journal)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from pydantic import PlainValidator, TypeAdapter, ValidationInfo
+from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationInfo
 
 from arpd.host.config.keys import sections_of
 from arpd.host.config.load import validated
@@ -67,6 +67,12 @@ def _clients(raw: Any) -> ssl.VerifyMode:
     return _CLIENTS[raw]
 
 
+def _given(raw: Any) -> Any:
+    if raw is None:
+        raise ValueError("has no value; give it keys or leave it out")
+    return raw
+
+
 _File = Annotated[Path, PlainValidator(_file)]
 
 
@@ -112,7 +118,7 @@ class TlsServer(Section):
 class Protection(Section):
     """The whole file: what is required of connections, which is nothing without it."""
 
-    tls_server_config: TlsServer | None = None
+    tls_server_config: Annotated[TlsServer | None, BeforeValidator(_given)] = None
     basic_auth_users: dict[Annotated[bytes, PlainValidator(_name)], Annotated[bytes, PlainValidator(_hash)]] = field(
         default_factory=dict, repr=False
     )
@@ -154,8 +160,6 @@ def load_protection(http: HttpSettings, *, directory: Path) -> Protection:
         return Protection()
     path = directory / http.web_config
     source = YamlSource(path, minimal=_MINIMAL)
-    if source.data.get("tls_server_config", ...) is None:
-        raise source.error([source.fault(("tls_server_config",), "has no value; give it keys or leave it out")])
     return validated(_FILE, source.data, source, sections=_SECTIONS, context={"directory": path.parent})
 
 

@@ -59,6 +59,16 @@ def test_no_topics_exit_1_and_say_what_to_check(run, robot, monkeypatch):
         assert "ROS_LOCALHOST_ONLY" in err
 
 
+@pytest.mark.parametrize(("options", "is_listed"), [([], False), (["--all"], True)])
+def test_topics_of_ros_and_of_arpd_and_hidden_ones_are_listed_on_request(run, robot, options, is_listed):
+    """They are seldom what a user looks for."""
+    survey = robot()
+    run("topics", *options)
+    is_of_interest = survey.call_args.kwargs["is_of_interest"]
+    names = ("/imu", "/rosout", "/arpd/price", "/navigate/_action/status")
+    assert [is_of_interest(name) for name in names] == [True, *3 * [is_listed]]
+
+
 def test_the_link_domain_is_not_that_of_the_nodes(run, robot, monkeypatch):
     """A robot whose nodes live in domain 77 gets another link domain."""
     robot()

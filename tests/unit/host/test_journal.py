@@ -161,7 +161,11 @@ def say(journal, root, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("environ", "name"),
-    [({}, "arpd-relay-far"), ({"RUNTIME_DIRECTORY": "/run/arpd-relay-far@robot1"}, "arpd-relay-far@robot1")],
+    [
+        ({}, "arpd-relay-far"),
+        ({"RUNTIME_DIRECTORY": ""}, "arpd-relay-far"),
+        ({"RUNTIME_DIRECTORY": "/run/arpd-relay-far@robot1"}, "arpd-relay-far@robot1"),
+    ],
 )
 def test_entries_go_to_the_journal_by_the_name_of_their_unit(journal, say, environ, name):
     """The journal distinguishes the far ends of several robots, by the folder in /run that systemd names."""

@@ -87,6 +87,17 @@ def test_faults_name_place_key_and_way_out(load, text, place, words):
     assert "$2b$" not in fault
 
 
+def test_every_fault_of_the_file_is_told(load):
+    """One correction is enough, and TLS that was only begun is not taken for none."""
+    with pytest.raises(ConfigError) as refused:
+        load(f"tls_server_config:\nbasic_auth_users: {{alice: {SECRET}}}\nfoo: 1")
+    assert [fault.split(": ")[1] for fault in refused.value.faults] == [
+        "tls_server_config",
+        "basic_auth_users.alice",
+        "foo",
+    ]
+
+
 def test_a_fifo_is_no_certificate(folder):
     """What it holds is read once, and OpenSSL would wait for its next writer, and the HTTP server with it."""
     path = folder / "server.crt"
