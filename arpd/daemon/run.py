@@ -113,7 +113,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     link_domain = settings.relay.link(is_far=False)
-    check_place(link_domain, is_far=False)
+    check_place(config_path, link_domain, is_far=False)
     own = own_address(link_domain)
     addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:

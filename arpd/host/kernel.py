@@ -7,8 +7,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from arpd.host.config.yaml_source import YamlSource
 from arpd.host.interface import SYS_NET, interface_to, likeliest_interface, of_route, read_number
-from arpd.model.errors import ConfigError, NotKnownError
+from arpd.model.errors import NotKnownError
 from arpd.model.settings import AUTO
 
 if TYPE_CHECKING:
@@ -56,19 +57,22 @@ def is_own_address(address: str) -> bool:
     return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
 
 
-def check_place(link: LinkDomain | None, *, is_far: bool) -> None:
+def check_place(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> None:
     """Refuse to be an end of the link on the computer of the other end.
 
     Raises
     ------
     ConfigError
-        If the other end's address is this computer's, and this end's is not. On loopback both are.
+        If the file has an address of this computer for the other end, and none for this one. On loopback both are.
     """
-    own, other = (_ends_of_route(end) if end else None for end in ((link.own, link.peer) if link else ("", "")))
-    is_here, is_there = (ends is not None and ends[0] == ends[1] for ends in (own, other))
-    if link and other and is_there and not is_here and not ip_address(other[0]).is_loopback:
+    other = _ends_of_route(link.peer) if link and link.peer else None
+    if not (file and link and other) or other[0] != other[1] or ip_address(other[0]).is_loopback:
+        return
+    if not (link.own and is_own_address(link.own)):
         key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
-        raise ConfigError([f"relay.{key}: {link.peer} is this computer's own address, and {programs} belong there"])
+        wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
+        source = YamlSource(file)
+        raise source.error([source.fault(("relay", key), wrong)])
 
 
 def own_address(link: LinkDomain | None) -> Callable[[], str | None]:

@@ -84,7 +84,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     notifier = Notifier()
     interface = AUTO if is_far else settings.link.interface  # the file names the robot's
     relay, link = settings.relay, settings.relay.link(is_far=is_far)
-    check_place(link, is_far=is_far)
+    check_place(config_path, link, is_far=is_far)
     own = own_address(link)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
 

@@ -158,7 +158,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     reader = InterfaceReader(interface, route=partial(interface_of_link, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
-    check_place(link, is_far=True)
+    check_place(config_path, link, is_far=True)
     own = own_address(link)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
     with control_node("arpd_peer", link, own()) as node, serving(node, reader=reader, name=name) as (peer, thread):

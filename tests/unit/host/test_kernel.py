@@ -100,13 +100,17 @@ def test_a_process_without_a_link_domain_has_no_address_to_tell():
         ("10.0.0.5", "10.0.0.5", False),
         ("10.0.0.5", "192.0.2.1", False),
         ("", "127.0.0.1", False),
+        ("debian", "10.0.0.5", False),
         ("10.0.0.5", "nowhere", False),
     ],
 )
-def test_an_end_on_the_computer_of_the_other_one_is_refused(monkeypatch, own, peer, is_refused):
+def test_an_end_on_the_computer_of_the_other_one_is_refused(tmp_path, monkeypatch, own, peer, is_refused):
     """The message tells what belongs there; where both ends are on one computer, each is at its place."""
+    (file := tmp_path / "arpd.yaml").write_text(f"relay:\n  link_domain: 77\n  robot: {peer}\n  base: {peer}\n")
     routes = {"192.0.2.1": ("10.0.0.5", "192.0.2.1"), **{each: (each, each) for each in ("10.0.0.5", "127.0.0.1")}}
+    routes["debian"] = ("127.0.0.1", "127.0.1.1")  # its own name
     monkeypatch.setattr(kernel, "_ends_of_route", routes.get)
-    for is_far, said in ((False, "relay.base: .*arpd-relay-far"), (True, "relay.robot: .*arpd-relay belong")):
+    places = (False, "yaml:4:9: relay.base: .*arpd-relay-far"), (True, "yaml:3:10: relay.robot: .*arpd-relay belong")
+    for is_far, said in places:
         with pytest.raises(ConfigError, match=said) if is_refused else nullcontext():
-            check_place(LinkDomain(domain_id=77, peer=peer, own=own), is_far=is_far)
+            check_place(file, LinkDomain(domain_id=77, peer=peer, own=own), is_far=is_far)
