@@ -134,9 +134,10 @@ def test_a_writer_is_known_for_half_a_minute_after_it_left():
 
 def test_a_writer_that_leaves_at_once_is_told_of():
     """A script publishes and ends before the graph is read again: its sample makes it known, and offered for 1 s."""
+    kind = {"type_name": "std_msgs/msg/String", "type_hash": "RIHS01_1"}
 
     class View:
-        now, read, ours = (Endpoint(gid=bytes(16)),), (), frozenset()
+        now, read, ours = (Endpoint(gid=bytes(16), **kind),), (), frozenset()
 
         def look(self):
             return 1
@@ -154,6 +155,7 @@ def test_a_writer_that_leaves_at_once_is_told_of():
     for _ in range(2):
         surveyed.look(1)
         assert [writer.gid for writer in surveyed.writers] == [bytes(16).hex()]
+        assert {name: getattr(surveyed, name) for name in kind} == kind  # else the other end would refuse the topic
     surveyed.read((), time.monotonic() + 2.0)
     assert not surveyed.writers
 

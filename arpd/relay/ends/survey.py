@@ -76,11 +76,14 @@ class Surveyed:
         self.is_waiting = bool(waiting)
         named = [each for each in writers if each.gid not in waiting]
         self.types = tuple(sorted({each.type_name for each in named}))
-        if self.type_name not in self.types:  # a stray writer of another type must not stop what already flows
+        if named and self.type_name not in self.types:  # a stray writer of another type stops nothing that flows
+            if self.type_name:
+                self._sought.clear()  # what has left is of another type
             self.type_name = self.types[0] if len(self.types) == 1 else ""
         offered = [each for each in named if each.type_name == self.type_name]
         hashes = {each.type_hash for each in offered} - {""}
-        self.type_hash = hashes.pop() if len(hashes) == 1 else ""
+        if named:  # else what has left is offered as it was
+            self.type_hash = hashes.pop() if len(hashes) == 1 else ""
         present = {each.gid: _offer(each) for each in sorted(offered, key=lambda each: each.gid)}
         self._left_s = {gid: self._left_s.get(gid, now_s) for gid in self.known.keys() - present}
         left = {gid: self.known[gid] for gid, left_s in self._left_s.items() if now_s - left_s < _REMEMBERED_S}
