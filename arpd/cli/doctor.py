@@ -23,9 +23,9 @@ _TEXT = """\
 Look for what harms a robot on Wi-Fi, on either end of the link, and print the fix for each: what the daemon finds wrong
 (as in `arpd status`), clocks that differ between the ends, Wi-Fi power save, a weak signal, no regulatory domain, a
 link without an address, small packets, datagrams that the kernel lost for want of memory, discovery of other nodes on
-the link, nodes whose transports do not meet arpd's, AdaptivePublishers without arpd's Fast DDS profile, another
-middleware than Fast DDS, versions of arpd that do not fit, units that do not run, robots that this base computer does
-not hear, faults of the configuration.
+the link, computers to which every sample crosses twice, nodes whose transports do not meet arpd's, AdaptivePublishers
+without arpd's Fast DDS profile, another middleware than Fast DDS, versions of arpd that do not fit, units that do not
+run, robots that this base computer does not hear, faults of the configuration.
 
 It changes nothing, and needs no root. Its findings, the clock, the profile and its version come from the daemon: on the
 base computer, name the robot with --url (http.host in its configuration opens the port).
