@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 _LEAST_FLOWING_HZ = 10.0  # of samples that a swap held
 # A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
 _PATIENCE_S = 4.0
-# A node finds a daemon, or is found, by an announcement every 3 s; then there is a price within a second.
-_START_S = 5.0
 _NO_LOCK = nullcontext()
 W = TypeVar("W", bound=Writer)
 
@@ -46,6 +44,7 @@ class Flow(Generic[W]):
     ----------
     lane : its place in the queue, which the owner adds there
     swap : has the writer by which samples leave, and its QoS
+    start : of a topic that nobody has planned yet
 
     Notes
     -----
@@ -80,8 +79,7 @@ class Flow(Generic[W]):
             patience_s=0.0 if is_ordered else _PATIENCE_S,
         )
         self.lane.plan = replace(self.lane.plan, deadline_ns=qos.deadline_ns, depth=qos.depth)
-        patience_s = 0.0 if is_ordered else _START_S  # of who loses no sample, all are written as they come
-        self._start = SlowStart(self.lane, self._has_arrived, depth=qos.depth, patience_s=patience_s)
+        self.start = SlowStart(self.lane, self._has_arrived, depth=qos.depth, is_off=is_ordered)
         self._withheld: Counter[str] = Counter()  # behind the queue, by cause
         # Of the writers before, less those of this one until it was in force.
         self._missed = -self._writer.deadlines_missed()
@@ -90,8 +88,8 @@ class Flow(Generic[W]):
 
     def write(self, sample: bytes) -> None:
         """Write a sample that the queue released, or hold it while a swap says so; may block on a full link."""
-        start = self._start
-        if len(sample) <= SMALL_BYTES and not start.waiting:
+        start = self.start
+        if start.is_off or (len(sample) <= SMALL_BYTES and not start.waiting):
             self._pass(sample)
             return
         self._withheld[WithheldCause.BLOCKED.value] += start.offer(sample, self._clock())
@@ -117,14 +115,14 @@ class Flow(Generic[W]):
 
     def service(self, now_s: float) -> float:
         """Take a step of the swap, and write what it held; return when to call again, inf = when asked (s)."""
-        if not (self.swap.is_busy or self._held or self._start.waiting):
+        if not (self.swap.is_busy or self._held or self.start.waiting):
             return math.inf
         self._step(now_s)
         self._release()
         self._begin()
         now_s = self._clock()
         due_s = now_s + self.swap.poll_s if self.swap.is_busy else math.inf
-        if self._start.waiting:
+        if self.start.waiting:
             due_s = min(due_s, now_s + POLL_S)
         if self._held and not self.swap.is_holding:
             due_s = min(due_s, max(now_s, self._catch_up_s))
@@ -132,7 +130,7 @@ class Flow(Generic[W]):
 
     def is_acknowledged(self) -> bool:
         """Return whether no sample waits here, and no reader waits for one."""
-        if len(self.lane) or self.lane.claimant is not None or self._held or self._start.waiting:
+        if len(self.lane) or self.lane.claimant is not None or self._held or self.start.waiting:
             return False
         return self._has_arrived()
 
@@ -140,7 +138,7 @@ class Flow(Generic[W]):
         """Return the settings in force and the counters; called about once a second."""
         lane = self.lane.state(self._clock())
         withheld = Counter(lane.withheld_by_cause) + self._withheld
-        waiting = len(self._held) + len(self._start.waiting)
+        waiting = len(self._held) + len(self.start.waiting)
         with self._lock:
             return replace(
                 lane,
@@ -158,9 +156,9 @@ class Flow(Generic[W]):
 
     def rest(self) -> list[bytes]:
         """Take the samples that have left the queue and are not written yet, the oldest first."""
-        rest = [*self._held, *self._start.waiting]
+        rest = [*self._held, *self.start.waiting]
         self._held.clear()
-        self._start.waiting.clear()
+        self.start.waiting.clear()
         return rest
 
     def close(self) -> None:
@@ -175,7 +173,7 @@ class Flow(Generic[W]):
 
     def _begin(self) -> None:
         """Write what the start of the topic lets go."""
-        while (sample := self._start.take(self._clock())) is not None:
+        while (sample := self.start.take(self._clock())) is not None:
             self._pass(sample)
 
     def _write(self, sample: bytes) -> None:

@@ -125,6 +125,7 @@ class AdaptivePublisher:
         self.qos_profile = copy(self._flow.swap.current.publisher.qos_profile)  # with the other overrides
         self._overrides = None
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
+        self._flow.start.is_off |= self._keeps_all  # without a daemon every sample leaves, whatever its depth says
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
         if words := current_rmw().refusal:
             self._lasting_refusal = Refusal(RefusalReason.MIDDLEWARE, words)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from arpd.endpoint.lane import Lane
 
 POLL_S = 0.005
+# A node finds a daemon, or is found, by an announcement every 3 s; then there is a price within a second.
+_PATIENCE_S = 5.0
 _QUICK_S = 0.1  # two heartbeats of arpd's profile: a link that acknowledges so soon keeps up
 
 
@@ -29,16 +31,16 @@ class SlowStart:
     lane : of the topic, for its plan and price
     is_acknowledged : returns whether the readers have all that was written
     depth : most samples that wait
-    patience_s : how long from the first one on, where no daemon is heard (s)
+    is_off : whether all leave as they come, because none may be left out
 
     Attributes
     ----------
     waiting : samples, the oldest first
     """
 
-    def __init__(self, lane: Lane, is_acknowledged: Callable[[], bool], *, depth: int, patience_s: float) -> None:
+    def __init__(self, lane: Lane, is_acknowledged: Callable[[], bool], *, depth: int, is_off: bool) -> None:
         self._lane, self._is_acknowledged = lane, is_acknowledged
-        self._depth, self._patience_s = depth, patience_s
+        self._depth, self.is_off = depth, is_off
         self.waiting: deque[bytes] = deque()
         self._until_s = math.inf
         self._behind_s = -math.inf  # since when a sample is not acknowledged
@@ -46,7 +48,7 @@ class SlowStart:
 
     def offer(self, sample: bytes, now_s: float) -> int:
         """Let a sample wait for its turn; return how many it replaces."""
-        self._until_s = min(self._until_s, now_s + self._patience_s)
+        self._until_s = min(self._until_s, now_s + _PATIENCE_S)
         self.waiting.append(sample)
         replaced = 0
         while len(self.waiting) > self._most(now_s):

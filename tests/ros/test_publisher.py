@@ -346,3 +346,18 @@ def test_a_publisher_that_keeps_all_gets_no_writer_for_a_depth(ros, eventually):
     eventually("the plan is confirmed", lambda: is_confirmed(publisher.state(), REFUSED_ROW))
     eventually("the swap ends", lambda: not publisher._flow.swap.is_busy)
     assert sum(publisher.state().swaps_by_result.values()) == 1
+
+
+@pytest.mark.parametrize(
+    ("overflow", "profile"),
+    [("latest", QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)), ("queue", QoSProfile(depth=1))],
+    ids=["keep all", "queue"],
+)
+def test_no_sample_of_who_keeps_all_is_left_out_at_the_start(ros, overflow, profile):
+    """Without a daemon a burst of large samples leaves as it comes, though no reader has the first one yet."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, "/all", profile, overflow=overflow)
+    publisher._flow.swap.current.matched, publisher._flow.swap.current.is_acknowledged = (lambda: 1), (lambda: False)
+    for _ in range(3):
+        publisher.publish(String(data=50_000 * "x"))
+    state = publisher.state()
+    assert (state.published, state.queued, state.withheld) == (3, 0, 0)
