@@ -161,7 +161,12 @@ class LocalClient(_Endpoint):
         self._running = {number: call for number, call in self._running.items() if self._book.runs(call)}
 
     def destroy(self) -> None:
-        """Remove the client; the end that asked fails its calls, because their service is not offered any more."""
+        """Remove the client; its calls fail.
+
+        So does the end that asked, where it hears that their service is not offered; in an outage it does not.
+        """
+        for call in (*self._running.values(), *(call for call, _ in self._waiting)):
+            self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
         super().destroy()
         self._node.destroy_client(self._client)
 

@@ -139,6 +139,19 @@ def test_requests_leave_five_at_a_time_and_one_that_cannot_be_sent_fails_alone(w
     assert world.sent == [1, 2, 3, 4, 5, 6]
 
 
+def test_calls_fail_when_their_server_goes(world, client):
+    """In an outage the end that asked never hears of it, and the result of a goal would be awaited for ever."""
+    client.send(1, request(1))
+    for now_s in (100.0, 101.0):
+        client.release(now_s)
+    client.send(2, request(2))
+    client.destroy()
+    assert world.sent == [1]
+    assert {call: failure.reason for call, failure in client.ended.items()} == dict.fromkeys(
+        (1, 2), FailureReason.NO_SERVER
+    )
+
+
 def test_a_response_that_cannot_be_sent_keeps_no_other_and_none_is_lost_with_its_server(world):
     """Responses leave five at a time, and all that wait when their server goes."""
     world.refused = {1}
