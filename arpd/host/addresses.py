@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _LOOK_S = 1.0
 _SETTLED_S = 3.0  # a new interface gets its addresses one by one
+_MOVED_S = 10.0  # in a shorter outage of Wi-Fi the route may lead elsewhere for a while, and the process bridges it
 
 
 class Addresses:
@@ -47,20 +48,21 @@ class Addresses:
         self._known = frozenset[str]().union(*addresses().values())
         self._new: frozenset[str] = frozenset()
         self._new_since_s = self._looked_s = -math.inf
+        self._moved_s = math.inf
 
     def are_outdated(self) -> bool:
-        """Return whether the link has had a new address, or another one, for three seconds; cheap enough for a tick."""
+        """Return whether the link has had a new address for 3 s, or another one for 10 s; cheap enough for a tick."""
         if (now_s := self._clock()) - self._looked_s >= _LOOK_S:
             addresses = self._addresses()
             if self._looked_s == -math.inf:
                 self._known &= frozenset[str]().union(*addresses.values())
             self._looked_s = now_s
             new = addresses.get(self._interface(), frozenset()) - self._known
-            if self._told is not None and (own := self._own()) not in {None, self._told}:
-                new |= {own}  # the link has moved to another network
+            has_moved = self._told is not None and self._own() not in {None, self._told}
+            self._moved_s = min(self._moved_s, now_s) if has_moved else math.inf
             if new != self._new:
                 self._new, self._new_since_s = new, now_s
-        return bool(self._new) and now_s - self._new_since_s >= _SETTLED_S
+        return (bool(self._new) and now_s - self._new_since_s >= _SETTLED_S) or now_s - self._moved_s >= _MOVED_S
 
     def error(self) -> LinkError:
         """Return the error that ends the process, because only a new process uses the address."""

@@ -74,8 +74,8 @@ def test_a_link_that_moves_to_another_network_calls_for_a_new_process():
     host.link = "eth0"
     for own in ("192.168.1.2", None, "10.0.0.5"):
         host.own = own
-        assert not host.are_outdated(2.0)
+        assert not host.are_outdated(9.0)
     host.own = "192.168.1.2"
     assert not host.are_outdated(30.0)
     host.own = "10.0.0.5"
-    assert host.are_outdated(6.0)
+    assert host.are_outdated(12.0)
