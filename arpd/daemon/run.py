@@ -15,10 +15,10 @@ from prometheus_client import Histogram, disable_created_metrics
 
 from arpd.daemon.supervisor import Signals, Supervisor, in_thread
 from arpd.daemon.tick import Daemon
-from arpd.host.addresses import Addresses
+from arpd.host.addresses import Addresses, own_address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
-from arpd.host.kernel import check_place, interface_of_link, own_address
+from arpd.host.kernel import interface_of_link
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop
 
@@ -113,8 +113,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     link_domain = settings.relay.link(is_far=False)
-    check_place(config_path, link_domain, is_far=False)
-    own = own_address(link_domain)
+    own = own_address(config_path, link_domain, is_far=False)
     addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:
         runtime.prepare_environment(runtime.DAEMON_PROFILE)

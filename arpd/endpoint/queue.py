@@ -148,7 +148,7 @@ class PacedQueue:
         return self._begin(lane, now_s, is_first=is_first)
 
     def rest_of(self, lane: Lane, now_s: float) -> list[bytes]:
-        """Take all that waits of a lane, whoever's turn it is."""
+        """Take all that waits of a lane, before its turn."""
         rest = []
         while lane in self._active:
             if (sample := self._begin(lane, now_s, is_first=False)) is not None:

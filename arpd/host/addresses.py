@@ -1,16 +1,22 @@
-"""Notices addresses on the link that are newer than ROS in this process."""
+"""Finds this computer's address on the link, and notices addresses that are newer than ROS in this process."""
 
 from __future__ import annotations
 
 import math
 import time
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
+from arpd.host.config.yaml_source import YamlSource
 from arpd.host.interface import running_addresses
+from arpd.host.kernel import ends_of_route, leads_here
 from arpd.model.errors import LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from arpd.model.settings import LinkDomain
 
 _LOOK_S = 1.0
 _SETTLED_S = 3.0  # a new interface gets its addresses one by one
@@ -67,3 +73,34 @@ class Addresses:
     def error(self) -> LinkError:
         """Return the error that ends the process, because only a new process uses the address."""
         return LinkError(f"{self._interface()} has an address that ROS in this process cannot use; start it again")
+
+
+def own_address(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> Callable[[], str | None]:
+    """Return what finds this computer's address on the link, None where none is known.
+
+    It is the one that is configured, or where that is not this computer's, the one from which a route leads to the
+    other end. Host names are looked up now, once.
+
+    Raises
+    ------
+    ConfigError
+        If the file has an address of this computer for the other end, and none for this one. On loopback both are.
+    """
+    names = {link.own: True, link.peer: False} if link else {}
+    ends = {name: found for name in names if name and (found := ends_of_route(name))}
+    if link and file and (other := ends.get(link.peer)) and other[0] == other[1]:
+        is_own_here = link.own in ends and leads_here(ends[link.own])
+        if not (is_own_here or ip_address(other[0]).is_loopback):
+            key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
+            wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
+            source = YamlSource(file)
+            raise source.error([source.fault(("relay", key), wrong)])
+
+    def find() -> str | None:
+        for name, (_, end) in ends.items():
+            source, address = ends_of_route(end) or ("127.0.0.1", "")
+            if not ip_address(source).is_loopback and (source == address) is names[name]:
+                return source
+        return None
+
+    return find

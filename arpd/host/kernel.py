@@ -5,17 +5,10 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from arpd.host.config.yaml_source import YamlSource
 from arpd.host.interface import SYS_NET, interface_to, likeliest_interface, of_route, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.settings import AUTO
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from arpd.model.settings import LinkDomain
 
 PROC = Path("/proc")
 _IP_MTU = 14  # linux/in.h
@@ -53,50 +46,18 @@ def link_interface(configured: str, *ends: str | None) -> str:
 
 def is_own_address(address: str) -> bool:
     """Return whether an address, or a host name, is this computer's. Debian gives its own name 127.0.1.1."""
-    ends = _ends_of_route(address)
-    return ends is not None and (ends[0] == ends[1] or ip_address(ends[1]).is_loopback)
+    ends = ends_of_route(address)
+    return ends is not None and leads_here(ends)
 
 
-def check_place(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> None:
-    """Refuse to be an end of the link on the computer of the other end.
-
-    Raises
-    ------
-    ConfigError
-        If the file has an address of this computer for the other end, and none for this one. On loopback both are.
-    """
-    other = _ends_of_route(link.peer) if link and link.peer else None
-    if not (file and link and other) or other[0] != other[1] or ip_address(other[0]).is_loopback:
-        return
-    if not (link.own and is_own_address(link.own)):
-        key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
-        wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
-        source = YamlSource(file)
-        raise source.error([source.fault(("relay", key), wrong)])
-
-
-def own_address(link: LinkDomain | None) -> Callable[[], str | None]:
-    """Return what finds this computer's address on the link, None where none is known; host names are looked up now.
-
-    It is the one that is configured, or where that is not this computer's, the one from which a route leads to the
-    other end.
-    """
-    names = {link.own: True, link.peer: False} if link else {}
-    ends = [(found[1], is_own) for name, is_own in names.items() if name and (found := _ends_of_route(name))]
-
-    def find() -> str | None:
-        for end, is_own in ends:
-            source, address = _ends_of_route(end) or ("127.0.0.1", "")
-            if not ip_address(source).is_loopback and (source == address) is is_own:
-                return source
-        return None
-
-    return find
-
-
-def _ends_of_route(address: str) -> tuple[str, str] | None:
-    """Return this computer's address and the other one of a route, None without one."""
+def ends_of_route(address: str) -> tuple[str, str] | None:
+    """Return this computer's address and the other one of the route to an address or a host name, None without one."""
     return of_route(address, lambda route: (route.getsockname()[0], route.getpeername()[0]))
+
+
+def leads_here(ends: tuple[str, str]) -> bool:
+    """Return whether the other end of a route is this computer, too."""
+    return ends[0] == ends[1] or ip_address(ends[1]).is_loopback
 
 
 def counters(protocol: str, *, proc: Path = PROC) -> dict[str, int]:

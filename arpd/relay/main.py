@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.host.addresses import Addresses
+from arpd.host.addresses import Addresses, own_address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import check_place, link_interface, own_address
+from arpd.host.kernel import link_interface
 from arpd.host.notify import Notifier
 from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
@@ -84,8 +84,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     notifier = Notifier()
     interface = AUTO if is_far else settings.link.interface  # the file names the robot's
     relay, link = settings.relay, settings.relay.link(is_far=is_far)
-    check_place(config_path, link, is_far=is_far)
-    own = own_address(link)
+    own = own_address(config_path, link, is_far=is_far)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
 
     def serve(step: Callable[[], None], every_s: float, threads: Sequence[ReadingThread | WritingThread] = ()) -> None:

@@ -16,11 +16,11 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.estimate.receiver import Receiver
-from arpd.host.addresses import Addresses
+from arpd.host.addresses import Addresses, own_address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
-from arpd.host.kernel import check_place, interface_of_link, link_interface, own_address
+from arpd.host.kernel import interface_of_link, link_interface
 from arpd.host.notify import Notifier
 from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets, wrap
@@ -158,8 +158,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     reader = InterfaceReader(interface, route=partial(interface_of_link, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``
     name = name or default_name(reader.name)
-    check_place(config_path, link, is_far=True)
-    own = own_address(link)
+    own = own_address(config_path, link, is_far=True)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
     with control_node("arpd_peer", link, own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)

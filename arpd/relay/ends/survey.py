@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left
-_TOLD_S = 1.0  # a writer that left before it was told of: the other end needs its name for its samples
+_TOLD_S = 1.0  # a writer that left before a look found it is offered so long: its samples need its name there
 _MOST_SOUGHT = 100
 _TOLD = ("node", "is_reliable", "is_latched", "deadline_ns", "lifespan_ns", "lease_ns", "is_manual")
 

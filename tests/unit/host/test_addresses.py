@@ -1,16 +1,23 @@
-"""Addresses that DDS in this process does not know."""
+"""The address on the link, and addresses that DDS in this process does not know."""
 
 from __future__ import annotations
 
-from arpd.host.addresses import Addresses
+from contextlib import nullcontext
+
+import pytest
+
+from arpd.host import addresses
+from arpd.host.addresses import Addresses, own_address
+from arpd.model.errors import ConfigError
+from arpd.model.settings import LinkDomain
 
 
 class Host:
     """Interfaces and their addresses, and a clock."""
 
-    def __init__(self, **addresses):
+    def __init__(self, **by_interface):
         self.now_s = 100.0
-        self.by_interface = addresses
+        self.by_interface = by_interface
         self.link, self.own = "wlan0", None
         self.addresses = self.began()
 
@@ -79,3 +86,62 @@ def test_a_link_that_moves_to_another_network_calls_for_a_new_process():
     assert not host.are_outdated(30.0)
     host.own = "10.0.0.5"
     assert host.are_outdated(12.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "peer", "found"),
+    [
+        ("10.0.0.5", "10.0.0.2", "10.0.0.5"),
+        ("robot", "", "10.0.0.5"),
+        ("", "base", "192.168.1.2"),
+        ("203.0.113.7", "base", "192.168.1.2"),
+        ("nowhere", "10.0.0.2", "10.0.0.5"),
+        ("debian", "base", "192.168.1.2"),
+        ("10.0.0.5", "127.0.0.1", "10.0.0.5"),
+        ("", "10.0.0.5", None),
+        ("debian", "127.0.0.1", None),
+        ("", "", None),
+    ],
+)
+def test_an_end_s_own_address_is_the_configured_one_or_that_of_the_route_to_the_other(monkeypatch, own, peer, found):
+    """A router's address, Debian's 127.0.1.1 for its own name, and loopback are none."""
+    routes = {
+        "10.0.0.5": ("10.0.0.5", "10.0.0.5"),
+        "10.0.0.2": ("10.0.0.5", "10.0.0.2"),
+        "192.168.1.9": ("192.168.1.2", "192.168.1.9"),
+        "203.0.113.7": ("192.168.1.2", "203.0.113.7"),
+        "127.0.0.1": ("127.0.0.1", "127.0.0.1"),
+        "127.0.1.1": ("127.0.0.1", "127.0.1.1"),
+    }
+    names = {"robot": "10.0.0.5", "base": "192.168.1.9", "debian": "127.0.1.1"}
+    monkeypatch.setattr(addresses, "ends_of_route", lambda name: routes.get(names.get(name, name)))
+    assert own_address(None, LinkDomain(domain_id=77, peer=peer, own=own), is_far=False)() == found
+
+
+def test_a_process_without_a_link_domain_has_no_address_to_tell():
+    """It tells all of its addresses, as any node."""
+    assert own_address(None, None, is_far=False)() is None
+
+
+@pytest.mark.parametrize(
+    ("own", "peer", "is_refused"),
+    [
+        ("192.0.2.1", "10.0.0.5", True),
+        ("", "10.0.0.5", True),
+        ("10.0.0.5", "10.0.0.5", False),
+        ("10.0.0.5", "192.0.2.1", False),
+        ("", "127.0.0.1", False),
+        ("debian", "10.0.0.5", False),
+        ("10.0.0.5", "nowhere", False),
+    ],
+)
+def test_an_end_on_the_computer_of_the_other_one_is_refused(tmp_path, monkeypatch, own, peer, is_refused):
+    """The message tells what belongs there; where both ends are on one computer, each is at its place."""
+    (file := tmp_path / "arpd.yaml").write_text(f"relay:\n  link_domain: 77\n  robot: {peer}\n  base: {peer}\n")
+    routes = {"192.0.2.1": ("10.0.0.5", "192.0.2.1"), **{each: (each, each) for each in ("10.0.0.5", "127.0.0.1")}}
+    routes["debian"] = ("127.0.0.1", "127.0.1.1")  # its own name
+    monkeypatch.setattr(addresses, "ends_of_route", routes.get)
+    places = (False, "yaml:4:9: relay.base: .*arpd-relay-far"), (True, "yaml:3:10: relay.robot: .*arpd-relay belong")
+    for is_far, said in places:
+        with pytest.raises(ConfigError, match=said) if is_refused else nullcontext():
+            own_address(file, LinkDomain(domain_id=77, peer=peer, own=own), is_far=is_far)
