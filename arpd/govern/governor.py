@@ -174,7 +174,7 @@ class Governor:
             if not self.plan.generation:
                 return ""
         else:
-            self._differs_since_s = math.inf
+            self._crowd, self._differs_since_s = None, math.inf
         if self._reload_pending:
             return "reload"
         # A reader that requests a shorter deadline than the plan offers is disconnected.

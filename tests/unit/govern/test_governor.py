@@ -112,8 +112,13 @@ def qos(plan):
 
 
 def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
-    """Topics that come or go within a second cost one plan together."""
+    """Topics that come or go within a second cost one plan together, and one that blinks costs none."""
     run = Run().planned()
+    for _ in range(3):
+        run.topics = TOPICS[:2]
+        assert not changes(run.ticks(0.3))
+        run.topics = TOPICS
+        assert not changes(run.ticks(3.0))
     run.topics = TOPICS[:2]
     assert not changes(run.ticks(0.5))
     run.topics = TOPICS[:1]
