@@ -28,7 +28,7 @@ _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
 _HALF = WRAP // 2
 _SIGN = struct.Struct("<BIIIIIIII")
-_VERSION = 2
+_VERSION = 3
 SIGN_BYTES = _SIGN.size
 
 
@@ -58,7 +58,7 @@ class Sign(NamedTuple):
     ----------
     session : of the sender
     number : of a probe, which the other end answers with a receipt; counted as chunks are, 0 = this is none
-    departed_us : when a probe left, by the sender's clock, modulo `WRAP` (µs)
+    departed_us : when it left, by the sender's clock, modulo `WRAP` (µs)
     """
 
     session: int
@@ -108,18 +108,20 @@ class Received:
         self._receipt = Receipt()
         self._offsets = _Lowest(_OFFSET_S)
         self._epoch_us = 0
+        self._noted_s = -math.inf  # when a chunk came last
         self._told = Receipt()
         self._told_s = self.expects_s = -math.inf
 
     def note(self, session: int, number: int, departed_us: int, size: int, now_s: float) -> float:
-        """Take a chunk; return its age: how much longer than the fastest of late it was on its way (s)."""
-        now_us = int(now_s * 1e6)
+        """Take a chunk; return its age: how much longer than the fastest of late it was on its way (s).
+
+        The time may be of another clock than elsewhere here, which goes on while this host sleeps.
+        """
+        now_us, self._noted_s = int(now_s * 1e6), now_s
         if session != self._receipt.session:
             self._receipt, self._offsets = Receipt(session=session), _Lowest(_OFFSET_S)
             self._told, self._epoch_us = Receipt(session=session), now_us - departed_us
-        # The clocks of the two hosts have nothing in common, so only differences of this difference count.
-        took_us = (now_us - departed_us - self._epoch_us + _HALF) % WRAP - _HALF
-        age_us = took_us - self._offsets.note(took_us, now_s)
+        age_us = self._age_us(departed_us, now_s)
         last = self._receipt
         is_newer = last.at_us == 0 or 0 < (number - last.number) % WRAP < _HALF
         self._receipt = Receipt(
@@ -130,6 +132,19 @@ class Received:
             at_us=now_us % WRAP or 1,
         )
         return age_us / 1e6
+
+    def hear(self, session: int, departed_us: int, now_s: float) -> None:
+        """Take a sign of life, for the ages after a pause: in a night two clocks part by seconds.
+
+        While chunks come they alone count, because a sign takes less time on a slow link.
+        """
+        if session == self._receipt.session and now_s - self._noted_s > _OFFSET_S:
+            self._age_us(departed_us, now_s)
+
+    def _age_us(self, departed_us: int, now_s: float) -> float:
+        # The clocks of the two hosts have nothing in common, so only differences of this difference count.
+        took_us = (int(now_s * 1e6) - departed_us - self._epoch_us + _HALF) % WRAP - _HALF
+        return took_us - self._offsets.note(took_us, now_s)
 
     def due_s(self) -> float:
         """Return when to send a receipt (s); ``inf`` when the last one says all."""

@@ -49,6 +49,8 @@ class LinkQueue(PacedQueue):
     ----------
     now_s : when it begins (s)
     together : writes the messages that leave together
+    asleep_s : returns how long this computer has slept, when the clock stood still: by a clock that stands still at one
+        end alone, all samples afterwards would be as old as the sleep was long (s)
 
     Attributes
     ----------
@@ -58,9 +60,16 @@ class LinkQueue(PacedQueue):
 
     _heartbeat_s = LINK_HEARTBEAT_S
 
-    def __init__(self, session: int, now_s: float, *, together: Callable[[bytes], None]) -> None:
+    def __init__(
+        self,
+        session: int,
+        now_s: float,
+        *,
+        together: Callable[[bytes], None],
+        asleep_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         super().__init__()
-        self._session = session
+        self._session, self._asleep_s = session, asleep_s
         self.flight = Flight()
         self._coach = Lane(together)
         self._turns = Turns(super()._finish)
@@ -86,12 +95,12 @@ class LinkQueue(PacedQueue):
             return None
         self._is_answering = False
         self._sign_s = now_s + EVERY_S
-        number = departed_us = 0
+        number = 0
         if is_probing:
             is_short = now_s - self.flight.out_s < _PROMPT_S
             self._probe_s = now_s + (_PROBE_S if is_short else EVERY_S)
-            number, departed_us = self.flight.send(SIGN_BYTES, now_s), int(now_s * 1e6) % WRAP
-        return encode_sign(Sign(self._session, number, departed_us, self._received.take(now_s)))
+            number = self.flight.send(SIGN_BYTES, now_s)
+        return encode_sign(Sign(self._session, number, self._departed_us(now_s), self._received.take(now_s)))
 
     @property
     def sign_s(self) -> float:
@@ -123,7 +132,8 @@ class LinkQueue(PacedQueue):
         self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset or is_together else 0.0)[0]
         if not self._is_of_partner(chunk.session, now_s):
             return chunk, 0.0
-        return chunk, self._received.note(chunk.session, chunk.number, chunk.departed_us, size, now_s)
+        arrived_s = now_s + self._asleep_s()
+        return chunk, self._received.note(chunk.session, chunk.number, chunk.departed_us, size, arrived_s)
 
     def hear(self, data: bytes, now_s: float) -> int:
         """Take a sign of life of the other end; return its session. Raises ValueError if the bytes are none."""
@@ -131,9 +141,11 @@ class LinkQueue(PacedQueue):
         is_of_partner = self._is_of_partner(sign.session, now_s)
         if sign.receipt.session == self._session:
             self.flight.confirm(sign.receipt, now_s)
+        arrived_s = now_s + self._asleep_s()
         if sign.number and is_of_partner:
-            self._received.note(sign.session, sign.number, sign.departed_us, SIGN_BYTES, now_s)
+            self._received.note(sign.session, sign.number, sign.departed_us, SIGN_BYTES, arrived_s)
             self._is_answering = True
+        self._received.hear(sign.session, sign.departed_us, arrived_s)
         return sign.session
 
     def _is_of_partner(self, session: int, now_s: float) -> bool:
@@ -277,12 +289,16 @@ class LinkQueue(PacedQueue):
         part = message[offset:] if is_first else message[offset : offset + self._chunk_bytes]
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(lane, now_s)
-        number, departed_us = self.flight.send(int(wire_bytes), now_s), int(now_s * 1e6) % WRAP
+        number = self.flight.send(int(wire_bytes), now_s)
         if offset == 0:
             current.number = number
         current.offset += len(part)
-        chunk = Chunk(self._session, number, departed_us, current.number, offset, len(message), lane.is_kept, part)
+        departed_us, total = self._departed_us(now_s), len(message)
+        chunk = Chunk(self._session, number, departed_us, current.number, offset, total, lane.is_kept, part)
         return Part(encode_chunk(chunk), wire_bytes, packets)
+
+    def _departed_us(self, now_s: float) -> int:
+        return int((now_s + self._asleep_s()) * 1e6) % WRAP
 
     # -- the daemon's price
 

@@ -31,7 +31,7 @@ _GRACE_S = 5.0
 _MOST_HELD = 5000
 _HELD_S = 3.0
 _OLD_S = 0.5  # on its way beyond the usual: an outage lay between
-_NEWER_S = 0.3  # what an outage delayed comes within that; the newest sample of each source is delivered
+_NEWER_S = 0.3  # what an outage delayed comes within that; the newest of each source is delivered
 _HASH = 15  # characters that tell two hashes apart
 _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
 
@@ -70,7 +70,8 @@ class Incoming:
         self._nodes, self._reader, self._side, self._depths = nodes, reader, side, depths
         self._lock = threading.Lock()  # guards the ghosts: samples come in the reading thread
         self._ghosts: dict[bytes, _Ghost] = {}  # by what stands for their originals in samples
-        self._held: deque[tuple[Record, float]] = deque(maxlen=_MOST_HELD)  # of writers that no state has named yet
+        # Samples of writers that no state has named yet: how old they were, whether that is late, and when they came.
+        self._held: deque[tuple[Record, float, bool, float]] = deque(maxlen=_MOST_HELD)
         self._late: dict[bytes, tuple[Record, float]] = {}  # by writer: the last, and until when a newer one may come
         self._readers: dict[str, LinkReader] = {}  # by the name on the link
         self.refused: dict[str, str] = {}
@@ -109,7 +110,7 @@ class Incoming:
                 except (NameValidationException, RuntimeError, ValueError) as fault:
                     self.refused[name] = str(fault)
             for _ in range(len(self._held)):
-                self._deliver(*self._held.popleft(), now_s)
+                self._take(*self._held.popleft(), now_s)
 
     def step(self, *, is_reachable: bool) -> None:
         """Look for readers, and open or close what they need."""
@@ -141,16 +142,7 @@ class Incoming:
         now_s, is_late = time.monotonic(), age_s > _OLD_S and not chunk.is_kept
         with self._lock:
             for record in unpack(message):
-                if (ghost := self._ghosts.get(record.writer)) is None:
-                    self._held.append((record, now_s))
-                elif 0 < ghost.writer.offer.lifespan_ns < age_s * 1e9:
-                    self.samples["outdated"] += 1
-                else:
-                    self.samples["outdated"] += self._late.pop(record.writer, None) is not None
-                    if is_late:
-                        self._late[record.writer] = record, now_s + _NEWER_S
-                    else:
-                        self._write(record)
+                self._take(record, age_s, is_late, now_s, now_s)
 
     def close(self) -> None:
         """Destroy everything."""
@@ -160,14 +152,22 @@ class Incoming:
             for key in [*self._ghosts]:
                 self._remove(key)
 
-    def _deliver(self, record: Record, at_s: float, now_s: float) -> None:
-        """Write a sample that was held if its writer is known now, and forget it after a while."""
-        if record.writer in self._ghosts:
-            self._write(record)
-        elif now_s - at_s < _HELD_S:
-            self._held.append((record, at_s))
+    def _take(self, record: Record, age_s: float, is_late: bool, came_s: float, now_s: float) -> None:  # noqa: FBT001 - of a tuple
+        """Write a sample, or hold it: for a while until its writer is known, or a late one until a newer one comes."""
+        if (ghost := self._ghosts.get(record.writer)) is None:
+            if now_s - came_s < _HELD_S:
+                self._held.append((record, age_s, is_late, came_s))
+            else:
+                self.samples["unknown"] += 1
+        elif 0 < ghost.writer.offer.lifespan_ns < (age_s + now_s - came_s) * 1e9:
+            self.samples["outdated"] += 1
         else:
-            self.samples["unknown"] += 1
+            replaced = self._late.pop(record.writer, None)
+            self.samples["outdated"] += replaced is not None
+            if is_late:  # where all are, as on a link with a queue of a second, the wait still ends
+                self._late[record.writer] = record, replaced[1] if replaced else now_s + _NEWER_S
+            else:
+                self._write(record)
 
     def _write(self, record: Record) -> None:
         self.samples["received" if self._ghosts[record.writer].writer.write(record) else "doubled"] += 1

@@ -53,7 +53,7 @@ class LinkThread(WritingThread):
         sign: Callable[[bytes], None],
         together: Callable[[bytes], None],
     ) -> None:
-        self.queue = LinkQueue(session, time.monotonic(), together=together)
+        self.queue = LinkQueue(session, time.monotonic(), together=together, asleep_s=_asleep_s)
         super().__init__(self.queue, name="arpd-link", warn=log.error)
         self._write_state, self._write_sign = state, sign
         self.partner_gids = ""
@@ -103,6 +103,11 @@ class LinkThread(WritingThread):
 
     def _due_s(self, now_s: float) -> float:
         return min(self.queue.sign_s, super()._due_s(now_s))
+
+
+def _asleep_s() -> float:
+    """Return how long this computer has slept since it started (s)."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
 
 
 class LinkReader(RawReader):

@@ -372,3 +372,25 @@ def test_another_robots_end_in_the_link_domain_spoils_no_account():
     assert (after.session, after.number, after.received) == (other, 3, 3 * size)
     sends(successor, 1, 1.5 + 1.6)
     assert receipt(4.0).session == successor
+
+
+@pytest.mark.parametrize(("drift", "slept_s"), [(1e-4, 0.0), (0.0, 1000.0)])
+def test_after_hours_in_which_nothing_crossed_a_sample_is_as_old_as_it_is(drift, slept_s):
+    """In hours the clocks of two hosts part by a second, and that of a laptop stands still while it sleeps."""
+    asleep_s = 0.0
+    base = LinkQueue(1, 0.0, together=lambda _sample: None, asleep_s=lambda: asleep_s)
+    robot = LinkQueue(2, 0.0, together=lambda _sample: None)
+    base.add(lane := Lane(lambda _sample: None))
+    base.follow(2, 0.0)
+    robot.follow(1, 0.0)
+
+    def age_s(now_s, late_s):
+        base.offer(lane, b"go", now_s - asleep_s)
+        return robot.arrived(base.take(now_s - asleep_s).sample, now_s * (1.0 + drift) + late_s)[1]
+
+    age_s(0.0, 0.0)
+    for now_s in range(1, 20_000):
+        robot.hear(base.take_sign(now_s), now_s * (1.0 + drift))
+        base.flight.restart()  # the robot has said that it heard all
+    asleep_s = slept_s
+    assert [age_s(20_000.0 + slept_s + late_s, late_s) for late_s in (0.7, 0.0)] == pytest.approx([0.7, 0.0], abs=0.01)
