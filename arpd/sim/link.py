@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -50,7 +51,8 @@ class LinkModel:
 
     def loss_ratio(self, run_s: float) -> float:
         """Return the share of packets that are lost at this time."""
-        further = next((step.loss for step in reversed(self.losses) if step.start_s <= run_s), 0.0)
+        begun = bisect_right(self.losses, run_s, key=lambda step: step.start_s)
+        further = self.losses[begun - 1].loss if begun else 0.0
         return 1.0 - (1.0 - self.loss) * (1.0 - further)
 
 
