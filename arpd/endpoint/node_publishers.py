@@ -118,7 +118,6 @@ class NodePublishers:
             Inbox(node, _PLANS, PLAN_QOS, lambda _sample, plan: self.take_plan(plan), clock=clock, warn=warn),
         )
         self.thread.wake(self)
-        node.context.on_shutdown(self._finish)
 
     @classmethod
     def of(cls, node: Node) -> NodePublishers:
@@ -161,9 +160,9 @@ class NodePublishers:
         self._tell()
         return self._tell_s
 
-    def _finish(self) -> None:
-        """Write what waits, when the context is shut down and the thread has stopped."""
-        for publisher in self._publishers.values() if self.thread.has_stopped else ():
+    def finish(self) -> None:
+        """Write what waits."""
+        for publisher in self._publishers.values():
             with suppress(RuntimeError):  # RCLError is one
                 publisher.finish()
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import math
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 _RETRY_S = 0.1
 _IDLE_S = 1.0  # most between two turns, for the watchdog
+_LAST_S = 2.0  # that a link may take for the last samples
 _BLOCKED_S = 0.05  # a scheduler takes less
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
 
@@ -37,6 +40,9 @@ class Turn(Protocol):
 
     def service(self, now_s: float) -> float:
         """Do what is due; return when to call again, ``inf`` = not before `WritingThread.wake` (s)."""
+
+    def finish(self) -> None:
+        """Write what waits, at the end of the thread."""
 
 
 class WritingThread:
@@ -80,18 +86,19 @@ class WritingThread:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
+        """Begin to write, until the process ends at the latest: after a signal nobody else may call `stop`."""
         self._thread.start()
+        atexit.register(self.stop)
 
     def stop(self) -> None:
-        """End the thread; what waits is lost."""
+        """End the thread, which lets those finish that want turns, if the link takes what waits there."""
         if not self._thread.is_alive():
             return  # in a forked process nobody would ever release the lock
         with self._lock:
             self._is_stopping = True
             self._changed.notify()
         if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=1.0)
+            self._thread.join(timeout=_LAST_S)
 
     def add(self, lane: Lane) -> None:
         """Serve a lane from now on."""
@@ -111,11 +118,6 @@ class WritingThread:
             self._wait_for(lane)
             lane.claimant = threading.get_ident()
             return self._decide(partial(self._queue.rest_of, lane, self._clock())) or []
-
-    @property
-    def has_stopped(self) -> bool:
-        """Whether `stop` has ended the thread; in a forked process there is none."""
-        return self._is_stopping and not self._thread.is_alive()
 
     @property
     def topics(self) -> int:
@@ -292,6 +294,10 @@ class WritingThread:
             except Exception as error:  # noqa: BLE001 - as above
                 self._say(f"{error}; the next sample follows")
             self.finished_s = self._clock()
+        for turn in tuple(self._turns):
+            with suppress(RuntimeError):  # RCLError is one
+                turn.finish()
+        atexit.unregister(self.stop)
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:
         """Return what to do now, None if nothing is due."""

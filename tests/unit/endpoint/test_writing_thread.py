@@ -193,6 +193,9 @@ def test_every_fault_is_said_and_none_again_and_again():
             tries.append(self.topic_name)
             raise RuntimeError("out of resources")
 
+        def finish(self):
+            self.service(math.inf)
+
     def write(_sample):
         raise RuntimeError("/c: publishing failed")
 
