@@ -82,7 +82,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     own = parser.add_argument_group("your topics, offline")
     own.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration whose topics are planned")
     own.add_argument("--capacity", metavar="RATE[,RATE...]", help="plan for links of these capacities, like 5mbit")
-    parser.add_argument("--backend", choices=list(Backend), help="solver (default osqp, or the configuration's)")
+    parser.add_argument("--backend", choices=[*map(str, Backend)], help="solver (default osqp, or the configuration's)")
     add_json(parser)
 
 

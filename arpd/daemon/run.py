@@ -184,7 +184,9 @@ def stop(daemon: Daemon) -> None:
     except Exception:
         log.exception("stopping; restoring failed, and publishers may keep their plan")
         return
-    if missing:
-        log.warning("stopping; %d publishers or readers did not confirm their original QoS in time", missing)
+    if missing is None:
+        log.info("stopping; another daemon drives the publishers, which keep its plan")
+    elif missing:
+        log.warning("stopping; %d publishers did not confirm their original QoS in time", missing)
     else:
         log.info("stopping; every publisher has its original QoS back")

@@ -275,7 +275,7 @@ class Daemon:
         self._estimator.reconfigure(fresh.link)
         self._governor.reconfigure(fresh)
 
-    def restore(self, *, wait: Callable[[float], None]) -> int:
+    def restore(self, *, wait: Callable[[float], None]) -> int | None:
         """Give every publisher that carries a plan its application's QoS back, and wait until the snapshots show it.
 
         The rates come last: on a link that cannot carry the applications' full traffic, no new writer could prove
@@ -287,7 +287,7 @@ class Daemon:
 
         Returns
         -------
-        Number of publishers that did not confirm in time.
+        Number of publishers that did not confirm in time, None where another daemon drives them.
         """
         generation, missing = self._governor.plan.generation + 1, 0
         self._observe(self._clock())
@@ -300,7 +300,7 @@ class Daemon:
             while True:
                 seen = self._observe(self._clock())
                 if seen.active_daemon:
-                    return 0  # the plan in force is another daemon's
+                    return None  # the plan in force is another daemon's
                 # Also with a predecessor's plan, and on a topic whose far reader has left.
                 publishers = [publisher for publisher in seen.publishers if publisher.generation > 0]
                 generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))

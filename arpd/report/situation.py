@@ -80,7 +80,7 @@ def judge(snapshot: Snapshot, *, rows: Sequence[Topic] | None = None, now_s: flo
     slowed = slowed_topics(rows)
     found = lasting(snapshot)
     if not _CUTS & {finding.condition for finding in found}:
-        found += _course(snapshot, sum(row.planned is not None for row in rows), slowed)
+        found += _course(snapshot, len({row.topic for row in rows if row.planned}), slowed)
     if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > Condition.STALE.holds_s:
         why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
         found.append(Finding(Condition.STALE, why))
@@ -229,7 +229,8 @@ def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Topic]) -> Iterat
         return
     most = slowed[0]
     rates = f"{format_number(most.confirmed.source_rate_hz)} → {format_number(most.allowed_hz)} Hz"
-    slows = f"arpd slows {len(slowed)} of {count(planned, 'topic')}, {most.topic} most ({rates})"
+    many = len({row.topic for row in slowed})
+    slows = f"arpd slows {many} of {count(planned, 'topic')}, {most.topic} most ({rates})"
     yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")
 
 

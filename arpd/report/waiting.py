@@ -18,8 +18,8 @@ _LIST = "arpd topics lists what there is"
 
 def first_plan(snapshot: Snapshot) -> str:
     """Say why the topics that cross the link have no plan yet."""
-    crossing = sum(publisher.direction != "local" for publisher in snapshot.observation.publishers)
-    why = f"arpd is still measuring the link for {count(crossing, 'topic')}"
+    crossing = {publisher.topic for publisher in snapshot.observation.publishers if publisher.direction != "local"}
+    why = f"arpd is still measuring the link for {count(len(crossing), 'topic')}"
     return f"{why}; the first plan follows within seconds"
 
 
@@ -27,7 +27,7 @@ def topics(snapshot: Snapshot) -> str:
     """Say why there is no topic to plan for, and the next step."""
     observation, settings = snapshot.observation, snapshot.settings
     if observation.publishers:
-        names = listed(sorted(publisher.topic for publisher in observation.publishers))
+        names = listed(sorted({publisher.topic for publisher in observation.publishers}))
         return f"no node on the other side of the link reads {names}; start one there{_where(snapshot)}"
     if settings.relay.link_domain is not None:
         return _of_two_ends(observation.relay)

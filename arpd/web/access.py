@@ -18,6 +18,7 @@ from prometheus_client import CollectorRegistry, disable_created_metrics
 from tornado.httputil import split_host_and_port
 
 from arpd.model.errors import ConfigError
+from arpd.ros.rate_limits import OncePerMinute
 from arpd.web.passwords import Passwords, PasswordVerdict
 from arpd.web.web_config import Protection, load_protection
 
@@ -87,14 +88,18 @@ class Access:
         self._stamps = self._seen()
         self._passwords = Passwords(clock=time.monotonic, secret=os.urandom(32))
         self._naming = asyncio.Lock()
+        self._logged = OncePerMinute()
 
     async def refusal(self, request: HTTPServerRequest) -> HTTPStatus | None:
         """Return why a request without the right name or password is refused, None for one that may be answered."""
         protection = self.protection
         if protection.basic_auth_users:
             given = request.headers.get("Authorization", "").encode("latin-1", "replace")
-            verdict = await self._passwords.judge(protection.basic_auth_users, given, client_of(str(request.remote_ip)))
+            client = client_of(str(request.remote_ip))
+            verdict = await self._passwords.judge(protection.basic_auth_users, given, client)
             self.counts.authentications.labels(verdict).inc()
+            if verdict is PasswordVerdict.WRONG and self._logged.take(client, time.monotonic()):
+                log.warning("http: a wrong password from %s (logged once a minute)", client)
             return _REFUSALS.get(verdict)
         if protection.tls is None and not await self._is_own_name(request.host):
             return HTTPStatus.MISDIRECTED_REQUEST

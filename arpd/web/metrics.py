@@ -186,7 +186,7 @@ def _of_plan(snapshot: Snapshot) -> Iterator[Metric]:
 
 
 def _of_interface(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield what the interface does, with its configured name, because a rename must not begin new series."""
+    """Yield what the interface does, under its name: another one begins new series."""
     labels, observation = {"interface": snapshot.interface}, snapshot.observation
     states = _states("state", InterfaceState, state_of(observation.counters), **labels)
     yield _family("link_interface_state", "1 marks the state of the link interface.", states)

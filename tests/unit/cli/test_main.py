@@ -48,6 +48,7 @@ TOPICS = "--sensing 11 --actuation 0"
         (f"solve --rmax 100 {TOPICS} --dmin 9 --dmax 3", "arpd"),
         ("solve --config x --capacity 5mbit --rmin 5", "--rmax"),
         ("solve --config x", "--capacity"),
+        ("solve --config x --capacity 5mbit --backend qp", "from 'osqp'"),
         ("solve --config x --capacity 5", "--capacity"),
         ("solve --config x --capacity 5mbit,0mbit", "8kbit"),
         ("status --cacert ca.crt --url http://robot:9464", "https://"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from arpd.daemon.run import new_durations
+from arpd.daemon.run import new_durations, stop
 from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
@@ -83,8 +83,9 @@ def test_a_clean_stop_gives_up_on_a_node_that_is_gone():
     assert world.now_s < 20.0
 
 
-def test_a_daemon_that_stands_by_only_watches():
+def test_a_daemon_that_stands_by_only_watches(caplog):
     """While another daemon is active it sets, probes and restores nothing, and says why; then it takes over."""
+    caplog.set_level("INFO", "arpd.daemon.run")
     world = Robot()
     events: list[Any] = []
     daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=events.append)
@@ -93,8 +94,9 @@ def test_a_daemon_that_stands_by_only_watches():
         world.now_s += 0.1
         daemon.tick(world.now_s)
     assert (world.sent, world.prices, world.probes) == ([], [], [])
-    assert daemon.restore(wait=world.wait) == 0
+    stop(daemon)
     assert not world.sent
+    assert "another daemon drives" in caplog.text
     assert "robot-2" in daemon.status_line()
     assert [event.kind for event in events].count("standing_by") == 1
     world.hear("")

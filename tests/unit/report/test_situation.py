@@ -32,6 +32,9 @@ def test_the_verdict_answers_the_four_questions():
     assert (verdict.condition, verdict.condition.severity) == (Condition.LIMITED, Severity.WARNING)
     for number in ("3.4 Mbit/s of 4 Mbit/s", "1 of 3 topics", "/camera/image", "30 → 12.5 Hz", "; 12.5 ms of queue."):
         assert number in verdict.text
+    camera = changed().observation.publishers[-1]
+    twice = (*changed().observation.publishers, replace(camera, node="/camera2"))
+    assert "1 of 3 topics" in judge(changed(observation={"publishers": twice}, **CALM)).verdict.text
     queueing = judge(changed(link={"queue_delay_s": 0.3, "loss_ratio": 0.05})).verdict
     assert all(words in queueing.text for words in ("still 300 ms of queue", "5 %"))
     lossy = judge(changed(link={"queue_delay_s": 0.0, "loss_ratio": 0.05})).verdict

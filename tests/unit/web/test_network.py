@@ -52,8 +52,8 @@ def test_client_certificates_are_required(folder):
                 world.get(tls=trusting(folder, client=client))
 
 
-def test_every_path_asks_for_the_password(folder):
-    """Every path, also a missing one, answers 401 without the password and its own answer with it."""
+def test_every_path_asks_for_the_password(folder, caplog):
+    """Every path, also a missing one, answers 401 without the password, and the journal names who sends a wrong one."""
     with running(folder, USERS) as world:
         for path in ("/", "/metrics", "/api/v1/status", "/nothing"):
             answer = world.get(path)
@@ -71,6 +71,7 @@ def test_every_path_asks_for_the_password(folder):
         while (answer := world.get(Authorization=WRONG)).status == 401:
             pass
         assert (answer.status, answer.headers["Retry-After"]) == (429, "1")
+        assert caplog.text.count("a wrong password from 127.0.0.1") == 1
         assert world.get(Authorization=LOGIN).status == 200
 
 
