@@ -24,49 +24,6 @@ _RELEASED = 2.0  # times its time to arrive: no link and no sender is so uneven
 _LEAST_DISPERSION_S = 0.5e-3  # less is the jitter of time stamps
 
 
-class ReportSchedule:
-    """Schedule of the reports.
-
-    Reports cost as much as pings, on the way back. So pings set their pace: fewer pings, fewer reports.
-
-    Parameters
-    ----------
-    sent_at_s : departure of the last report, or start of the schedule (s)
-    """
-
-    def __init__(self, sent_at_s: float) -> None:
-        self.sent_at_s = sent_at_s
-        self._quiet_s = self._wait_s = QUIET_S
-        self._late_s = BUSY_S  # after a report, when the next ping is late
-
-    @property
-    def due_s(self) -> float:
-        """Time of the next report, as far as is known now (s)."""
-        return self.sent_at_s + self._wait_s
-
-    @property
-    def look_s(self) -> float:
-        """Time to read the interface and call `note_traffic` (s)."""
-        return self.sent_at_s + self._late_s
-
-    def note_probe(self, *, is_last: bool, quiet_s: float) -> None:
-        """Note that a packet of a probe arrived, the last one or not; and how rare the daemon wants reports (s)."""
-        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
-        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
-        # A ping's delay is the first sign of a queue, and a train of a rise, so no report waits for further probes.
-        if is_last:
-            self._wait_s = PROMPT_S
-
-    def note_traffic(self, size_bytes: float) -> None:
-        """Note what the interface received since the last report: while a queue stands, pings are late."""
-        if size_bytes >= WORTH_BYTES:
-            self._wait_s = min(self._wait_s, self._late_s)
-
-    def note_sent(self, now_s: float) -> None:
-        """Note that a report leaves now."""
-        self.sent_at_s, self._wait_s = now_s, self._quiet_s
-
-
 class Arrival(NamedTuple):
     """Arrival of one packet of a train: its size on the link, and time stamps of two different clocks (ns)."""
 
@@ -151,21 +108,25 @@ class Receiver:
     """Collects probe arrivals between two reports, and makes the reports.
 
     Probes do not overtake each other on the link: a train is complete when its last packet arrives, or when a later
-    probe shows that the last packet is lost.
+    probe shows that the last packet is lost. Reports cost as much as pings, on the way back. So pings set their pace:
+    fewer pings, fewer reports.
 
     Parameters
     ----------
     peer : name in the reports
-    begin_s : of the schedule (s)
+    begin_s : of the first interval (s)
+    counted : bytes and packets that the interface had received by then, None = unknown
 
     Attributes
     ----------
-    schedule : of the reports
+    due_s : when to `look` at the latest (s)
     """
 
-    def __init__(self, peer: str, begin_s: float) -> None:
-        self._peer = peer
-        self.schedule = ReportSchedule(begin_s)
+    def __init__(self, peer: str, begin_s: float, counted: tuple[int, int] | None = None) -> None:
+        self._peer, self._sent_s, self._counted = peer, begin_s, counted
+        self._quiet_s = self._wait_s = QUIET_S
+        self._late_s = BUSY_S  # after a report, when the next ping is late
+        self.due_s = begin_s + QUIET_S
         self._delays_s: list[float] = []
         self._trains: list[Train] = []
         self._last_probe = self._packets_before = 0  # arrived packets of the probes before the last one
@@ -184,8 +145,16 @@ class Receiver:
         received_ns: int,
         quiet_s: float = 0.0,
     ) -> None:
-        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
-        self.schedule.note_probe(is_last=index == packets - 1, quiet_s=quiet_s)
+        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks).
+
+        ``quiet_s`` says how rare the daemon wants reports (s).
+        """
+        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
+        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
+        # A ping's delay is the first sign of a queue, and a train of a rise, so no report waits for further probes.
+        if index == packets - 1:
+            self._wait_s = PROMPT_S
+            self.due_s = min(self.due_s, self._sent_s + PROMPT_S)
         if index == 0:
             del self._delays_s[:-_MOST_KEPT]
             self._delays_s.append((received_ns - sent_ns) / 1e9)
@@ -204,12 +173,25 @@ class Receiver:
         if index == packets - 1:
             self._close()
 
-    def report(self, now_s: float, *, rx_bytes: int, rx_packets: int) -> PeerReport:
-        """Return the report that leaves now, with what the interface has received since the last one."""
+    def look(self, now_s: float, counted: tuple[int, int] | None) -> PeerReport | None:
+        """Return the report that leaves now, None before it is due.
+
+        Parameters
+        ----------
+        counted : bytes and packets that the interface has received so far; None = it is gone
+        """
+        after = counted or self._counted
+        before = self._counted or after
+        rx_bytes, rx_packets = (after[0] - before[0], after[1] - before[1]) if after and before else (0, 0)
+        if rx_bytes >= WORTH_BYTES:  # while a queue stands, pings are late
+            self._wait_s = min(self._wait_s, self._late_s)
+        if now_s < (due_s := self._sent_s + self._wait_s):
+            self.due_s = due_s
+            return None
         report = PeerReport(
             peer=self._peer,
             received_at_s=now_s,
-            interval_s=min(now_s - self.schedule.sent_at_s, _LONGEST_S),
+            interval_s=min(now_s - self._sent_s, _LONGEST_S),
             rx_bytes=rx_bytes,
             rx_packets=rx_packets,
             delays_s=tuple(self._delays_s),
@@ -218,7 +200,7 @@ class Receiver:
             probe_packets=self._packets_before,
         )
         self._delays_s, self._trains = [], []
-        self.schedule.note_sent(now_s)
+        self._sent_s, self._counted, self._wait_s, self.due_s = now_s, after, self._quiet_s, now_s + self._late_s
         return report
 
     def _close(self) -> None:

@@ -55,9 +55,7 @@ class Peer:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._publish, self._reader, self._clock = publish, reader, clock
-        self._receiver = Receiver(name, clock())
-        self._counters = reader.read()
-        self._due_s = self._receiver.schedule.look_s
+        self._receiver = Receiver(name, clock(), self._counted())
         self.probed_s = -math.inf  # when the last probe arrived
 
     def hear(self, sample: Sample) -> None:
@@ -72,27 +70,17 @@ class Peer:
         self._receiver.on_probe(
             **asdict(header), payload_bytes=len(packet), sent_ns=sample.sent_ns, received_ns=sample.received_ns
         )
-        self._due_s = min(self._due_s, self._receiver.schedule.due_s)
 
     def step(self) -> float:
         """Send a report if one is due; return when to call again at the latest (s)."""
-        if (now_s := self._clock()) >= self._due_s:
-            self._look(now_s)
-        return self._due_s
+        now_s = self._clock()
+        if now_s >= self._receiver.due_s and (report := self._receiver.look(now_s, self._counted())):
+            self._publish(wrap(encode_report(report)))
+        return self._receiver.due_s
 
-    def _look(self, now_s: float) -> None:
-        schedule, before = self._receiver.schedule, self._counters
-        after = self._reader.read() or before
-        rx_bytes = rx_packets = 0
-        if after and before:
-            rx_bytes, rx_packets = after.rx_bytes - before.rx_bytes, after.rx_packets - before.rx_packets
-        schedule.note_traffic(rx_bytes)
-        if now_s < schedule.due_s:
-            self._due_s = schedule.due_s
-            return
-        self._publish(wrap(encode_report(self._receiver.report(now_s, rx_bytes=rx_bytes, rx_packets=rx_packets))))
-        self._counters = after
-        self._due_s = schedule.look_s
+    def _counted(self) -> tuple[int, int] | None:
+        counters = self._reader.read()
+        return (counters.rx_bytes, counters.rx_packets) if counters else None
 
 
 @contextmanager

@@ -101,8 +101,7 @@ class SimulatedWorld:
         self._asked_generation, self._asked_at_s = -1, -math.inf
         self.report_bytes = 0
         # The receiver on the base computer.
-        self._receiver = Receiver(_PEER, self._soon_s())
-        self._received = 0, 0  # bytes and packets by its last report
+        self._receiver = Receiver(_PEER, self._soon_s(), (0, 0))
         self._stamp_s = -math.inf
         of = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         if end is not None:
@@ -118,7 +117,7 @@ class SimulatedWorld:
             timeline.every(_TELL_S, partial(self._tell, node), first_s=self._soon_s())
         self._report_alarm = Alarm(timeline, self._look)
         if has_peer:
-            self._report_alarm.set(self._receiver.schedule.due_s)
+            self._report_alarm.set(self._receiver.due_s)
 
     def _soon_s(self) -> float:
         """Return a moment in the next second."""
@@ -231,27 +230,17 @@ class SimulatedWorld:
             received_ns=round((self._stamp_s + _PEER_CLOCK_S) * 1e9),
             quiet_s=request.quiet_s,
         )
-        self._report_alarm.set_by(self._receiver.schedule.due_s)
+        self._report_alarm.set_by(self._receiver.due_s)
 
     def _look(self) -> None:
         """Send a report if one is due, as `arpd.ros.peer` does."""
-        now_s, schedule = self._timeline.now_s, self._receiver.schedule
-        (before, packets_before), (after, packets) = self._received, self._received_by_peer()
-        schedule.note_traffic(after - before)
-        if now_s < schedule.due_s:
-            self._report_alarm.set(schedule.due_s)
-            return
-        report = self._receiver.report(now_s, rx_bytes=after - before, rx_packets=packets - packets_before)
-        self._received = after, packets
-        self.report_bytes += _REPORT_BYTES
-        self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, now_s))
-        self._report_alarm.set(schedule.look_s)
-
-    def _received_by_peer(self) -> tuple[int, int]:
-        """Return the bytes and packets that the peer's interface counts."""
-        other = sum(flow.offered_bytes(self._timeline.now_s) for flow in self._into_peer)
-        up = self._up
-        return int(up.received_bytes() + other), up.received_packets + int(other / FRAME_BYTES)
+        now_s, up = self._timeline.now_s, self._up
+        other = sum(flow.offered_bytes(now_s) for flow in self._into_peer)
+        counted = int(up.received_bytes() + other), up.received_packets + int(other / FRAME_BYTES)
+        if report := self._receiver.look(now_s, counted):
+            self.report_bytes += _REPORT_BYTES
+            self._down.send(_REPORT_BYTES, 1, partial(self._on_report, report, now_s))
+        self._report_alarm.set(self._receiver.due_s)
 
     def _on_report(self, report: PeerReport, sent_s: float) -> None:
         now_s = self._reported_s = self._timeline.now_s

@@ -108,7 +108,7 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
     """Reports of a peer that starts answer no probe; only those that claim to are counted, and named in the log."""
     daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
     daemon.probe()
-    report = Receiver("base", 0.0).report(1.0, rx_bytes=0, rx_packets=0)
+    report = Receiver("base", 0.0).look(1.0, None)
     eventually("the daemon hears reports", reports.get_subscription_count)
     for last_probe in (0, 0, 4711):
         reports.publish(wrap(encode_report(replace(report, last_probe=last_probe))))
@@ -119,7 +119,7 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
 def test_a_peer_too_many_is_refused_though_it_answers_no_probe(ros, eventually):
     """A daemon whose capacity is pinned sends none, and counts what it leaves out."""
     daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
-    report = Receiver("base", 0.0).report(1.0, rx_bytes=0, rx_packets=0)
+    report = Receiver("base", 0.0).look(1.0, None)
     eventually("the daemon hears reports", reports.get_subscription_count)
     for peer in ("base", "liar"):
         reports.publish(wrap(encode_report(replace(report, peer=peer))))

@@ -125,8 +125,8 @@ def lost_of(course, *, counted, peers):
                 receiver.on_probe(
                     train=number, index=index, packets=packets, payload_bytes=16, sent_ns=0, received_ns=0
                 )
-            report = receiver.report(number * 0.1, rx_bytes=0, rx_packets=0)
-            loss.digest(replace(report, probe_packets=report.probe_packets % 2**32))
+            if report := receiver.look(number * 0.1, None):
+                loss.digest(replace(report, probe_packets=report.probe_packets % 2**32))
     return loss.ratio(len(course) * 0.1)
 
 

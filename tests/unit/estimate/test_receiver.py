@@ -83,10 +83,10 @@ def test_a_complete_train_is_reported_once():
     """A train is available once its last packet arrives, and is taken once."""
     receiver = Receiver("base", 0.0)
     send(receiver, 5, 10)
-    first, second = (receiver.report(at_s, rx_bytes=0, rx_packets=0) for at_s in (0.1, 0.3))
+    first, second = (receiver.look(at_s, None) for at_s in (0.1, 0.4))
     assert (len(first.delays_s), len(first.trains), first.last_probe) == (1, 1, 5)
     assert first.trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
-    assert (second.delays_s, second.trains, second.interval_s) == ((), (), pytest.approx(0.2))
+    assert (second.delays_s, second.trains, second.interval_s) == ((), (), pytest.approx(0.3))
 
 
 @pytest.mark.parametrize(("indices", "wait_s"), [(range(5), PROMPT_S), (range(4), QUIET_S)])
@@ -94,7 +94,7 @@ def test_a_train_is_reported_as_soon_as_it_is_whole(indices, wait_s):
     """Its last packet waits for no ping, and none before it asks for a report of half a train."""
     receiver = Receiver("p", 0.0)
     send(receiver, 1, 5, indices=indices)
-    assert receiver.schedule.due_s == pytest.approx(wait_s)
+    assert receiver.due_s == pytest.approx(wait_s)
 
 
 @pytest.mark.parametrize("lost", [{4}, {0}, {19}, {0, 19}, {7, 8}])
@@ -103,7 +103,7 @@ def test_a_tenth_may_be_lost_anywhere(lost):
     receiver = Receiver("base", 0.0)
     send(receiver, 1, 20, indices=[i for i in range(20) if i not in lost])
     send(receiver, 2, 1)
-    (train,) = receiver.report(0.1, rx_bytes=0, rx_packets=0).trains
+    (train,) = receiver.look(0.1, None).trains
     # A packet lost in the middle took link time, and its bytes do not count: the train reads low, never high.
     assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
 
@@ -120,6 +120,8 @@ def test_reports_are_as_rare_as_a_probe_asks(quiet_s, kept_s):
     """After the answer nothing is due for the time that the ping named, within bounds, nor is news looked for."""
     receiver = Receiver("base", 0.0)
     send(receiver, 1, 1, quiet_s=quiet_s)
-    receiver.report(0.1, rx_bytes=0, rx_packets=0)
-    assert receiver.schedule.due_s == pytest.approx(0.1 + kept_s)
-    assert receiver.schedule.look_s == pytest.approx(0.1 + max(BUSY_S, min(quiet_s, LONGEST_QUIET_S)))
+    assert receiver.look(0.1, None)
+    assert receiver.due_s == pytest.approx(0.1 + max(BUSY_S, min(quiet_s, LONGEST_QUIET_S)))
+    while not receiver.look(at_s := receiver.due_s, None):
+        pass
+    assert at_s == pytest.approx(0.1 + kept_s)
