@@ -215,7 +215,7 @@ class InterfaceReader:
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name, self._raw, self._own = chosen, None, frozenset()
             if not self._was_up:
-                self._total = self._state = None
+                self._state = None
 
     def _note_state(self, state: InterfaceState) -> None:
         before, self._state = self._state, state

@@ -117,12 +117,12 @@ def test_auto_takes_what_comes_and_stays_with_a_radio_that_was_up(kernel, caplog
     assert (reader.read().interface, reader.name) == ("eth0", "eth0")
     kernel.put("wlan0", rx=(500, 5))
     choice[0] = "wlan0"
-    assert (received(reader.read()), reader.name) == ((500, 5), "wlan0")
+    assert (received(reader.read()), reader.name) == ((900, 9), "wlan0")  # a total that falls is no report of a peer
     choice[0] = "eth0"
     kernel.put("wlan0", state=InterfaceState.NO_CARRIER, rx=(600, 6))
     for _ in range(20):
         kernel.now_s += 1.0
-        assert (received(reader.read()), reader.name) == ((600, 6), "wlan0")
+        assert (received(reader.read()), reader.name) == ((1000, 10), "wlan0")
     assert len(caplog.records) == 5
 
 
