@@ -16,7 +16,7 @@ from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
 from arpd.govern.progress import Progress, progress
 from arpd.model.allocation import Allocation, Decision
-from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
+from arpd.model.plan import MOST_GENERATION, QosPlan, own_qos
 from arpd.model.price import Price
 from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from arpd.model.allocation import Topic
-    from arpd.model.endpoints import PublisherState
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings
@@ -304,8 +303,9 @@ class Daemon:
                 # Also with a predecessor's plan, and on a topic whose far reader has left.
                 publishers = [publisher for publisher in seen.publishers if publisher.generation > 0]
                 generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))
-                rows = {publisher.topic: _own_qos(publisher, is_paced=is_paced) for publisher in publishers}
-                plan = QosPlan(generation=generation, topics=rows)
+                publishers.sort(key=lambda publisher: publisher.paced_rate_hz)  # of one topic the fastest counts
+                rates = {each.topic: each.paced_rate_hz if is_paced else math.inf for each in publishers}
+                plan = QosPlan(generation=generation, topics={topic: own_qos(rate) for topic, rate in rates.items()})
                 shown = progress(publishers, plan)
                 missing = len(publishers) - shown.confirmed
                 if not (missing or shown.missing) or seen.now_s - begun_s > until_s:
@@ -327,12 +327,3 @@ def _crossing(seen: Observation) -> int:
 def _share(budget: float, link: LinkEstimate) -> float:
     """Return a budget as a part of what the link has for arpd's topics, 0..1."""
     return min(1.0, budget / max(1.0, link.available_bytes_per_second))
-
-
-def _own_qos(publisher: PublisherState, *, is_paced: bool) -> TopicPlan:
-    return TopicPlan(
-        rate_hz=publisher.paced_rate_hz if is_paced else math.inf,
-        min_rate_hz=0.0,
-        deadline_ns=publisher.baseline_deadline_ns,
-        depth=publisher.baseline_depth,
-    )

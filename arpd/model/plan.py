@@ -22,7 +22,7 @@ class TopicPlan:
     rate_hz : ceiling of the paced rate, ≥ 0, ``inf`` = unpaced (Hz)
     min_rate_hz : floor, which the price keeps as long as the link carries all floors (Hz)
     deadline_ns : offered DEADLINE period, 0 = infinite (ns)
-    depth : KEEP_LAST depth (samples), 1..5000
+    depth : KEEP_LAST depth (samples), 1..5000; 0 = each publisher's application chose depth and deadline
     weight : w, share of link time relative to other topics; 0 = no price applies, the rate is the ceiling
     wire_bytes, packets : s and k, what one sample puts on the link, over all copies
     max_rate_hz : what the configuration allows; a topic that loses nothing may leave faster than ``rate_hz`` after a
@@ -42,8 +42,8 @@ class TopicPlan:
         """Refuse nonsense at birth."""
         if math.isnan(self.rate_hz) or self.rate_hz < 0:
             raise ValueError(f"rate_hz {self.rate_hz!r} must be a number of at least 0")
-        if self.depth < 1:
-            raise ValueError(f"depth {self.depth} must be at least 1")
+        if self.depth < 0:
+            raise ValueError(f"depth {self.depth} must be at least 0")
         if self.deadline_ns < 0:
             raise ValueError(f"deadline_ns {self.deadline_ns} must be at least 0")
 
@@ -56,6 +56,11 @@ class TopicPlan:
     def promised_hz(self) -> float:
         """Rate that keeps the offered deadline, 0 without one (Hz)."""
         return NANOSECONDS_PER_SECOND / self.deadline_ns if self.deadline_ns else 0.0
+
+
+def own_qos(rate_hz: float) -> TopicPlan:
+    """Return the row that gives each publisher of a topic its application's depth and deadline back."""
+    return TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -80,6 +80,8 @@ def checked_row(topic: str, row: Any, own: WriterQos) -> TopicPlan:
     """
     if not isinstance(row, list) or len(row) != len(ROW):
         raise ValueError(f"{topic}: {str(row)[:80]!r} has not the numbers {', '.join(ROW)}")
+    if row[0] == 0:  # see `TopicPlan`
+        row = [own.depth, own.deadline_ns, *row[2:]]
     try:
         given = {name: checked(name, value, own) for name, value in zip(ROW, row, strict=True)}
     except ValueError as fault:

@@ -70,7 +70,7 @@ def test_a_node_that_starts_later_finds_its_plan(ros, send, answers, eventually)
 @pytest.mark.parametrize(
     ("row", "reason"),
     [
-        ([0, 0, 1.0, 0.0, 1.0, 9.0, 1, 0.0], "/a: depth = '0' is not an integer from 1 to 5000"),
+        ([-1, 0, 1.0, 0.0, 1.0, 9.0, 1, 0.0], "/a: depth = '-1' is not an integer from 1 to 5000"),
         ([9, 0, 1.0], "/a: '[9, 0, 1.0]' has not the numbers depth, deadline_ns,"),
     ],
 )

@@ -73,7 +73,15 @@ def test_a_clean_stop_restores_the_application_s_qos_and_its_rates_last():
     assert world.writer.generation >= 7  # its own before
     rows = [topics[TOPIC] for node, topics in world.sent if node == "/w"]
     assert [row.rate_hz for row in rows] == [*(len(rows) - 1) * [5.0], math.inf]
-    assert (rows[-2].depth, rows[-2].deadline_ns) == (rows[-1].depth, rows[-1].deadline_ns) == (10, 90 * MS)
+
+
+def test_a_clean_stop_gives_each_publisher_of_a_topic_its_own_qos_back():
+    """Several nodes may publish one topic, each with a history of its own; the plan has one row for all."""
+    world = Robot()
+    world.publishers["other"] = replace(world.writer, node="/w2", baseline_depth=9000, baseline_deadline_ns=0)
+    assert restored(world) == 0
+    writers = [(each.depth, each.deadline_ns, each.rate_hz) for each in world.publishers.values()]
+    assert writers == [(10, 90 * MS, math.inf), (9000, 0, math.inf)]
 
 
 def test_a_clean_stop_gives_up_on_a_node_that_is_gone():

@@ -42,16 +42,18 @@ class World:
                     self._due.append((now_s + self.takes_s, plan, lease_s))
 
     def _take(self, plan, lease_s):
-        for name, row in plan.topics.items():
-            self.publishers[name] = replace(
-                self.publishers[name],
-                generation=plan.generation,
-                lease_s=lease_s,
-                rate_hz=row.rate_hz,
-                paced_rate_hz=row.rate_hz,
-                depth=row.depth,
-                deadline_ns=row.deadline_ns,
-            )
+        for name, each in self.publishers.items():
+            if (row := plan.topics.get(each.topic)) is not None:
+                depth, deadline_ns = row.qos if row.depth else (each.baseline_depth, each.baseline_deadline_ns)
+                self.publishers[name] = replace(
+                    each,
+                    generation=plan.generation,
+                    lease_s=lease_s,
+                    rate_hz=row.rate_hz,
+                    paced_rate_hz=row.rate_hz,
+                    depth=depth,
+                    deadline_ns=deadline_ns,
+                )
 
     def set_price(self, price):
         self.prices.append(price)

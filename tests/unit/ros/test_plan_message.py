@@ -69,7 +69,7 @@ BOUNDS = {
     "min_rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
     "weight": (FLOATS, lambda value: value == 0 or 1e-6 <= value <= 1e6),
     "wire_bytes": (FLOATS, lambda value: value == 0 or 1 <= value <= 1e12),
-    "depth": (INTEGERS, lambda value: 1 <= value <= MOST_DEPTH),
+    "depth": (INTEGERS.filter(bool), lambda value: 1 <= value <= MOST_DEPTH),
     "deadline_ns": (INTEGERS, lambda value: value == 0 or value >= LEAST_DEADLINE_NS),
     "packets": (INTEGERS, lambda value: 0 <= value <= 10**9),
     "max_rate_hz": (FLOATS, lambda value: 0 <= value <= 1e6),
@@ -96,9 +96,9 @@ def test_a_number_of_a_row_is_within_bounds_or_refused_by_name(field, data):
 
 
 def test_the_application_s_own_qos_is_always_allowed():
-    """A plan may return to a depth and a deadline beyond the bounds when the application chose them."""
+    """A plan may return to a depth and a deadline beyond the bounds when the application chose them; depth 0 does."""
     own = WriterQos(depth=MOST_DEPTH + 1, deadline_ns=LEAST_DEADLINE_NS - 1)
     row = {**FIELDS, "depth": own.depth, "deadline_ns": own.deadline_ns}
-    assert checked(row, own) == TopicPlan(**row)
+    assert checked(row, own) == checked({**FIELDS, "depth": 0}, own) == TopicPlan(**row)
     with pytest.raises(ValueError, match=r"^/t: d"):
         checked(row)
