@@ -113,8 +113,13 @@ class WritingThread:
             self._decide(partial(self._queue.remove, lane))
 
     def rest_of(self, lane: Lane) -> list[bytes]:
-        """Take all that waits of a lane, which is claimed from then on, after a write to it has ended."""
+        """Take all that waits of a lane, which is claimed from then on, after a write to it has ended.
+
+        Raises RuntimeError where the caller has interrupted a change of the queue.
+        """
         with self._lock:
+            if self._is_deciding:
+                raise RuntimeError("the queue is changing")
             self._wait_for(lane)
             lane.claimant = threading.get_ident()
             return self._decide(partial(self._queue.rest_of, lane, self._clock())) or []
@@ -136,6 +141,7 @@ class WritingThread:
         now_s = self._clock()
         expires_s = now_s + lifespan_ns / 1e9 if lifespan_ns else math.inf
         with self._lock:
+            _require_open(lane)
             self._decide(partial(self._queue.offer, lane, message, now_s, source=source, expires_s=expires_s))
             self._wake_for_queue()
 
@@ -144,12 +150,12 @@ class WritingThread:
 
         A large one is left to the other thread: a full link would hold the caller, and its executor, until it is out.
         """
-        if lane.may_conflate(message) and not lane.is_closing and self._thread.is_alive():
+        if lane.may_conflate(message) and self._thread.is_alive():
             self.offer(lane, message)
             return
         now_s = self._clock()
         with self._lock:
-            if lane.claimant is not None and not self._is_deciding:
+            if lane.claimant is not None:
                 self._wait_for(lane)
             sample = self._take(lane, message, now_s)
         if sample is not None:
@@ -195,8 +201,9 @@ class WritingThread:
             self._wake(0.0)
 
     def _wait_for(self, lane: Lane) -> None:
+        # A signal may call this inside a write, and inside a change, in which nobody else may have the lock.
         self._waiters += 1
-        while lane.claimant not in {None, threading.get_ident()}:  # a signal may call this inside a write
+        while not self._is_deciding and lane.claimant not in {None, threading.get_ident()}:
             self._freed.wait()
         self._waiters -= 1
 
@@ -219,8 +226,7 @@ class WritingThread:
 
     def _take(self, lane: Lane, message: bytes, now_s: float, source: Hashable = None) -> bytes | None:
         """Return what the caller writes now, for which it then has claimed the lane."""
-        if lane.is_closing:
-            raise InvalidHandle("cannot publish because the publisher is destroyed")
+        _require_open(lane)
         if self._is_deciding:
             self._decide(partial(self._queue.offer, lane, message, now_s, source=source))
             return None
@@ -316,3 +322,8 @@ class WritingThread:
     def _due_s(self, now_s: float) -> float:
         """Return when `_choose` may have something (s)."""
         return min(self._queue.due_s(now_s), *self._turns.values(), math.inf)
+
+
+def _require_open(lane: Lane) -> None:
+    if lane.is_closing:
+        raise InvalidHandle("cannot publish because the publisher is destroyed")

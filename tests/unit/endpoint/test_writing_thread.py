@@ -121,6 +121,33 @@ def test_who_publishes_in_the_middle_of_a_decision_has_to_wait(monkeypatch, inte
     thread.stop()
 
 
+def test_who_destroys_a_publisher_in_the_middle_of_a_decision_waits_for_no_write(monkeypatch):
+    """Nobody else could decide anything meanwhile, and the thread would end with a RecursionError."""
+    written, may_end = [], threading.Event()
+    thread, lane = make(), Lane(written.append)
+    written_to = Lane(lambda sample: written.append(sample) or may_end.wait(LONG_S))
+    for each in (lane, written_to):
+        thread.add(each)
+    thread.start()
+    thread.offer(written_to, b"a")
+    eventually("it is being written", lambda: written)
+    admit = lane.admit
+
+    def interrupt(*arguments):
+        with pytest.raises(RuntimeError):
+            thread.rest_of(written_to)
+        thread.remove(written_to)
+        return admit(*arguments)
+
+    monkeypatch.setattr(lane, "admit", interrupt)
+    thread.publish(lane, b"b")
+    assert (written, thread.topics) == ([b"a", b"b"], 1)
+    may_end.set()
+    thread.offer(lane, b"c")
+    eventually("the thread goes on", lambda: written[-1] == b"c")
+    thread.stop()
+
+
 def test_what_fails_in_a_shutdown_is_no_fault():
     """A write that fails because the participant has just gone is not logged; any other one is."""
     alive, said, failed = [True], [], []
