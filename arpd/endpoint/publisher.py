@@ -104,7 +104,7 @@ class AdaptivePublisher:
         # A copy, so that later changes of the application's profile do not reach the next writer.
         own = copy(node._validate_qos_or_depth_parameter(qos_profile))  # noqa: SLF001 - the faults of create_publisher
         self.topic_name: str = node.resolve_topic_name(topic)
-        self.qos_profile = overridden(node, self.topic_name, own)
+        self.qos_profile = overridden(node, self.topic_name, own, qos_overriding_options)
         self._requests = Requests(node, self.topic_name)
         self._node = node
         self._callback_group = callback_group
@@ -265,8 +265,9 @@ class AdaptivePublisher:
 
     def _warn_of_refusals(self) -> None:
         # As rclpy's default callback does. To read the count would take the event from a callback of the application.
-        has_callback = self._event_callbacks is not None and self._event_callbacks.incompatible_qos is not None
-        if not has_callback and (refusals := self._flow.swap.current.refusals()) > self._refusals:
+        theirs = self._event_callbacks
+        is_silent = theirs is not None and not (theirs.use_default_callbacks and theirs.incompatible_qos is None)
+        if not is_silent and (refusals := self._flow.swap.current.refusals()) > self._refusals:
             self._refusals = refusals
             self._node.get_logger().warning(
                 f"{self.topic_name}: a subscription requests incompatible QoS and receives nothing; "

@@ -155,7 +155,7 @@ def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
     return changed
 
 
-def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
+def overridden(node: Node, topic: str, profile: QoSProfile, options: QoSOverridingOptions | None) -> QoSProfile:
     """Return a profile with the depth and the deadline that the start of the process gives a publisher of this topic.
 
     A parameter file or ``--ros-args -p`` gives them under ROS 2's standard names (design.ros2.org, "QoS Overrides by
@@ -165,8 +165,9 @@ def overridden(node: Node, topic: str, profile: QoSProfile) -> QoSProfile:
     """
     own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
     found = {}
+    suffix = "" if options is None or options.entity_id is None else f"_{options.entity_id}"
     for policy, field, value in (("depth", "depth", own.depth), ("deadline", "deadline_ns", own.deadline_ns)):
-        name = f"qos_overrides.{topic}.publisher.{policy}"
+        name = f"qos_overrides.{topic}.publisher{suffix}.{policy}"
         if not node.has_parameter(name):  # without a default: a later publisher of the topic may have other QoS
             description = ParameterDescriptor(read_only=True, description=f"{policy} of {topic}")
             node.declare_parameter(name, Parameter.Type.INTEGER, description)

@@ -31,8 +31,6 @@ from tests.ros.world import DOMAIN, FREE, REPO, TERMS, Announced, Plans, costing
 from tests.waiting import PATIENCE_S
 
 TOPIC = "/swapped"
-DEPTH = f"qos_overrides.{TOPIC}.publisher.depth"
-DEADLINE = f"qos_overrides.{TOPIC}.publisher.deadline"
 LEASE_S = 60.0  # longer than a busy machine stops a process
 # This host loses nothing, so readers match at once. And it waits: no swap goes on without its acknowledgements.
 PATIENT = SwapTiming(settle_s=0.1, hold_s=60.0, patience_s=60.0, match_timeout_s=60.0, drain_s=60.0)
@@ -327,15 +325,13 @@ def test_one_failing_topic_does_not_stop_the_others(publisher, background, monke
     eventually("twenty samples of the other topic leave", lambda: publisher.state().published >= before + 20)
 
 
-def test_overrides_given_at_the_start_are_the_application_s_own_qos(ros):
+@pytest.mark.parametrize(("entity", "entity_id"), [("publisher", None), ("publisher_left", "left")])
+def test_overrides_given_at_the_start_are_the_application_s_own_qos(ros, entity, entity_id):
     """Depth and deadline of a parameter file are in force, and what returns when a plan ends; others are as rclpy's."""
-    overrides = [
-        Parameter(DEPTH, value=77),
-        Parameter(DEADLINE, value=10**9),
-        Parameter(f"qos_overrides.{TOPIC}.publisher.reliability", value="best_effort"),
-    ]
+    values = {"depth": 77, "deadline": 10**9, "reliability": "best_effort"}
+    overrides = [Parameter(f"qos_overrides.{TOPIC}.{entity}.{name}", value=value) for name, value in values.items()]
     node = ros.node("overridden", parameter_overrides=overrides)
-    options = QoSOverridingOptions([QoSPolicyKind.RELIABILITY])
+    options = QoSOverridingOptions([QoSPolicyKind.RELIABILITY], entity_id=entity_id)
     publisher = AdaptivePublisher(node, String, TOPIC, 10, qos_overriding_options=options)
     assert publisher.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT
     assert publisher.baseline == WriterQos(depth=77, deadline_ns=10**9)

@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from rclpy.duration import Duration
@@ -18,6 +19,7 @@ TOPIC = "/kept"
 
 # This host loses nothing, so readers match at once; an old writer without acknowledgements drains for long.
 QUICK = SwapTiming(settle_s=0.1, drain_s=60.0)
+WEAK = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 def make(node, qos, **options):
@@ -67,6 +69,22 @@ def test_a_reader_that_would_be_lost_undoes_the_swap(ros, eventually):
     assert publisher.state().deadline_ns == 100_000_000
     publisher.publish(String(data="still there"))
     eventually("the reader still receives", lambda: received)
+
+
+@pytest.mark.parametrize(
+    ("events", "named"),
+    [(None, 1), (PublisherEventCallbacks(use_default_callbacks=False), 0)],
+    ids=["by default", "not wanted"],
+)
+def test_a_reader_that_hears_nothing_is_named_once_where_rclpy_would(ros, monkeypatch, eventually, events, named):
+    """As the default callback of a plain publisher does."""
+    publisher, said = make(ros.node("talker"), WEAK, event_callbacks=events), []
+    monkeypatch.setattr(publisher._node, "get_logger", lambda: SimpleNamespace(warning=said.append))
+    ros.node("demanding").create_subscription(String, TOPIC, lambda _message: None, 10)
+    eventually("it is refused", publisher._flow.swap.current.refusals)
+    for _ in range(2):
+        publisher.state()
+    assert ["RELIABILITY" in each for each in said] == [True] * named
 
 
 def callbacks(**events):
