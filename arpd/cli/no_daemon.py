@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from arpd.model.errors import NoAnswerError
 
 _ROBOT = "arpd"
-_ENDED = {"inactive", "deactivating", ""}
 _JOURNAL = "see journalctl -u {0}"
 _CAUSES = {
     2: "its command line is wrong: see systemctl cat {0}",
@@ -29,7 +28,7 @@ def step_after(error: NoAnswerError) -> str:
         return ""
     if why := failure(_ROBOT, robot):
         return why
-    if robot.active in _ENDED:
+    if robot.active in {"inactive", "deactivating", ""}:
         return _of_stopped(robot, services.used_on_base(units))
     journal = _JOURNAL.format(_ROBOT)
     if error.is_late:
@@ -40,6 +39,8 @@ def step_after(error: NoAnswerError) -> str:
 
 
 def _of_stopped(robot: ServiceState, used_on_base: list[str]) -> str:
+    if robot.active == "deactivating":
+        return "arpd.service is stopping, and first restores the publishers (on_stop); ask again in some seconds"
     if used_on_base:
         return f"this is the other end of the link, with {listed(used_on_base, most=4)}: run arpd status on the robot"
     if not robot.is_installed:

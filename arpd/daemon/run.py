@@ -167,10 +167,10 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         signals.is_looping = True
         with web.up():
             supervisor.run()
-            if not signals.stop:
-                raise addresses.error()
-            notifier.stopping()
-            stop(daemon)
+        if not signals.stop:
+            raise addresses.error()
+        notifier.stopping()
+        stop(daemon)  # without metrics: as no tick finishes, they would raise an alert
     return 0
 
 

@@ -84,7 +84,7 @@ class DecisionLog:
             return None
         if not (number := self._left_out.pop(event.kind, 0)):
             return event
-        text = f"after {count(number, 'more event', 'more events')} of the kind {event.kind}: {event.text}"
+        text = f"after {count(number, 'more event')} of the kind {event.kind}: {event.text}"
         return replace(event, text=text, details={**event.details, "omitted": str(number)})
 
     def _has_room(self, kind: str, now_s: float) -> bool:

@@ -27,9 +27,9 @@ def short(name: str) -> str:
     return name if len(name) <= _MOST_NAME else f"…{name[1 - _MOST_NAME :]}"
 
 
-def count(number: int, one: str, many: str = "") -> str:
+def count(number: int, one: str) -> str:
     """Write a number of things: `1 topic`, `3 topics`."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
+    return f"{number} {one}{'' if number == 1 else 's'}"
 
 
 def listed(names: Sequence[str], most: int = _MOST_NAMED) -> str:

@@ -87,6 +87,7 @@ STOPPED = unit("inactive", is_enabled=False)
     [
         (unit("active"), "inactive", "compare http.host"),
         (unit("activating"), "inactive", "ask again"),
+        (unit("deactivating"), "inactive", "restores the publishers"),
         (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
         (
             unit("activating", is_restarted=True, result="success"),
