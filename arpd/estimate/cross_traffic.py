@@ -6,8 +6,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import Direction
-from arpd.model.wire import probe_wire_bytes, wire_size
+from arpd.model.wire import probe_wire_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -143,7 +142,7 @@ class _TopicTraffic:
         """Note an announcement; a node that restarted counts from zero."""
         is_again = publisher.published < self._published
         samples = publisher.published - (0.0 if is_again else self._published)
-        self._costs.append(_wire_bytes(publisher, samples / (at_s - self.told_s)))
+        self._costs.append(publisher.wire_bytes(samples / (at_s - self.told_s)))
         cost = max(self._costs)
         sent.add(self._since_s, self.told_s, self._samples * max(0.0, cost - self._cost))
         sent.add(self.told_s, at_s, samples * cost)
@@ -176,10 +175,3 @@ class _Bins:
         """Return the bytes since about a moment."""
         first = math.floor(start_s * 10.0)
         return sum(amount for each, amount in self._bytes.items() if each >= first)
-
-
-def _wire_bytes(publisher: PublisherState, rate_hz: float) -> float:
-    """Return the link bytes of one sample, as in `arpd.solve.topics`; 0 when no other host reads the topic."""
-    if publisher.direction is Direction.LOCAL:
-        return 0.0
-    return wire_size(publisher.payload_bytes, rate_hz=rate_hz)[0] * publisher.copies

@@ -14,10 +14,8 @@ from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
-from arpd.model.endpoints import Direction
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.quantities import format_duration, format_rate
-from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,7 +101,10 @@ class Estimator:
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
-        self._note_sizes(() if observation.relay else observation.publishers)
+        publishers = () if observation.relay else observation.publishers
+        if publishers is not self._publishers:
+            self._publishers = publishers
+            self._largest_bytes = max((each.wire_bytes(math.inf) for each in publishers), default=0.0)
         moved = max(self._peers.delivery()[0], local.sent_bytes_per_second())
         moved -= self._cross_traffic.probe_bytes(now_s - parameters.SHOWS_S) / parameters.DELIVERY_WINDOW_S
         self._used_s = now_s if moved > parameters.RESTING * capacity else min(self._used_s, now_s)
@@ -164,17 +165,6 @@ class Estimator:
         return requests
 
     # -- evidence
-
-    def _note_sizes(self, publishers: Sequence[PublisherState]) -> None:
-        if publishers is self._publishers:
-            return
-        self._publishers = publishers
-        sizes = (
-            publisher.copies * wire_size(publisher.payload_bytes, rate_hz=math.inf)[0]
-            for publisher in publishers
-            if publisher.payload_bytes > 0 and publisher.direction is not Direction.LOCAL
-        )
-        self._largest_bytes = max(sizes, default=0.0)
 
     def _digest(self, report: PeerReport) -> None:
         now_s = report.received_at_s
@@ -342,11 +332,6 @@ class Estimator:
         return max(parameters.BURST_BYTES, parameters.BURST_SHARE * self._largest_bytes)
 
     @property
-    def _delivered(self) -> float:
-        """What arrives lately; without a peer, what leaves this host (bytes/s)."""
-        return self._local.sent_bytes_per_second() if self._is_silent else self._peers.delivery()[0]
-
-    @property
     def _is_resting(self) -> bool:
         """True while next to nothing leaves or arrives, of topics or of others; traffic that begins ends that."""
         return self._last_s - self._used_s > parameters.RESTING_S
@@ -360,6 +345,7 @@ class Estimator:
         capacity, kind, evidence = self._in_force
         since_s = max(self._trains.newest_s, self._started_at_s, self._stated.changed_at_s)
         is_out = self._state is LinkState.OUTAGE
+        delivered = self._local.sent_bytes_per_second() if self._is_silent else self._peers.delivery()[0]
         return LinkEstimate(
             capacity_bytes_per_second=capacity,
             kind=kind,
@@ -367,7 +353,7 @@ class Estimator:
             queue_delay_s=self._queue_delay_s,
             queue_allowance_s=self._queue_low_s,
             standing_delay_s=self._queues.stays_s(parameters.STANDING_S),
-            delivery_rate_bytes_per_second=0.0 if is_out else self._delivered,
+            delivery_rate_bytes_per_second=0.0 if is_out else delivered,
             is_resting=self._is_resting,
             age_s=0.0 if self._is_pinned else now_s - since_s,
             evidence=evidence,

@@ -8,6 +8,8 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from arpd.model.wire import wire_size
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -239,6 +241,12 @@ class PublisherState(FlowState):
     def copies(self) -> int:
         """Times that each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
         return max(1, self.remote_readers)
+
+    def wire_bytes(self, rate_hz: float) -> float:
+        """Return what a sample, at this rate, puts on the link in all its copies; 0 where none crosses it."""
+        if self.direction is Direction.LOCAL or not self.payload_bytes:
+            return 0.0
+        return self.copies * wire_size(self.payload_bytes, rate_hz=rate_hz)[0]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,8 +10,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
-from arpd.model.endpoints import Direction
-from arpd.model.wire import wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,9 +40,8 @@ class Oracle:
         """Return the truth, and what one large message explains of a queue."""
         truth = self._truth()
         capacity = max(1.0, truth.capacity_bytes_per_second)
-        crossing = [p.payload_bytes for p in observation.publishers if p.direction is not Direction.LOCAL]
-        largest_bytes = max(crossing, default=0.0)
-        burst_s = min(parameters.BURST_CAP_S, wire_size(largest_bytes, rate_hz=math.inf)[0] / capacity)
+        largest_bytes = max((each.wire_bytes(math.inf) for each in observation.publishers), default=0.0)
+        burst_s = min(parameters.BURST_CAP_S, largest_bytes / capacity)
         return replace(truth, capacity_bytes_per_second=capacity, queue_allowance_s=parameters.QUEUE_LOW_S + burst_s)
 
     def wanted_probes(self, now_s: float, *, is_short: bool) -> tuple[ProbeRequest, ...]:  # noqa: ARG002 - as the estimator's

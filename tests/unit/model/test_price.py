@@ -7,15 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.allocation import Topic
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price
 from arpd.model.settings import Settings
 from arpd.solve.program import Program
 from tests.examples import examples
+from tests.unit.solve.test_program import robots
 
 PROGRAM = Program(Settings())
-MEMORY = 2.0**30
 PRICE = Price(share_per_weight=0.01, capacity_bytes_per_second=1e6, packet_overhead_s=1e-4)
 ROW = TopicPlan(rate_hz=100.0, min_rate_hz=2.0, deadline_ns=0, depth=1, weight=2.0, wire_bytes=900.0, packets=1)
 
@@ -25,32 +24,14 @@ def often(few, many):
     return st.one_of(st.sampled_from(few), many)
 
 
-@st.composite
-def robots(draw):
-    found = []
-    for i in range(draw(st.integers(1, 8))):
-        desired_hz = draw(often([5.0, 10.0, 20.0, 1e6], st.floats(0.1, 500.0)))
-        found.append(
-            Topic(
-                name=f"/t{i}",
-                wire_bytes=draw(often([1000.0, 2000.0], st.floats(60.0, 1e5))),
-                packets=draw(st.integers(1, 70)),
-                desired_rate_hz=desired_hz,
-                min_rate_hz=min(desired_hz, draw(often([0.0, 5.0, 10.0], st.floats(0.0, 50.0)))),
-                weight=draw(often([1.0, 2.0], st.floats(0.01, 100.0))),
-            )
-        )
-    return found
-
-
 CAPACITIES = often([5e3, 1e4, 2e4, 4e4, 1e5], st.floats(1e3, 1e8))
 SHARES = often([0.0, 0.25, 0.5, 1.0], st.integers(0, 10**6).map(lambda millionths: millionths / 1e6))
 OVERHEADS = st.sampled_from([0.0, 1e-4])
 
 
-def row_of(topic, *, margin=1.0):
+def row_of(topic):
     return TopicPlan(
-        rate_hz=margin * topic.desired_rate_hz,
+        rate_hz=topic.desired_rate_hz,
         min_rate_hz=topic.min_rate_hz,
         deadline_ns=0,
         depth=1,
@@ -60,32 +41,17 @@ def row_of(topic, *, margin=1.0):
     )
 
 
-def divided(topics, capacity, share, overhead=0.0):
-    allocation = PROGRAM.solve(PROGRAM.on_link(capacity, topics, packet_overhead_s=overhead, share=share), MEMORY)
-    assert allocation.price is not None
-    return allocation
-
-
 @examples(150)
 @given(robots(), CAPACITIES, SHARES, OVERHEADS)
 def test_the_price_gives_everybody_the_programs_rate(topics, capacity, share, overhead):
-    """With its ceiling at the desired rate, each publisher computes the rate that the program divided, to 1e-9."""
-    allocation = divided(topics, capacity, share, overhead)
+    """Each publisher computes the rate that the program divided, between two plans nearly; and all fit the share."""
+    link = PROGRAM.on_link(capacity, topics, packet_overhead_s=overhead, share=share)
+    allocation, quick = PROGRAM.solve(link, 2.0**30), link.price()
+    assert math.fsum(each.share for each in allocation.topics) <= share * (1 + 1e-6)
     for topic, given_ in zip(topics, allocation.topics, strict=True):
-        assert allocation.price.rate_hz(row_of(topic)) == pytest.approx(given_.rate_hz, rel=1e-9)
-
-
-@examples(100)
-@given(robots(), CAPACITIES, SHARES, OVERHEADS)
-def test_all_rates_together_fit_the_budget(topics, capacity, share, overhead):
-    """With room above each source in the ceilings, what the sources publish takes the share, to a millionth."""
-    price = divided(topics, capacity, share, overhead).price
-    spent = math.fsum(
-        (topic.packets * overhead + topic.wire_bytes / capacity)
-        * min(topic.desired_rate_hz, price.rate_hz(row_of(topic, margin=1.25)))
-        for topic in topics
-    )
-    assert spent <= share * (1 + 1e-6)
+        row = row_of(topic)
+        assert allocation.price.rate_hz(row) == pytest.approx(given_.rate_hz, rel=1e-9)
+        assert quick.rate_hz(row) * quick.cost_s(row) == pytest.approx(given_.share, abs=2e-6)
 
 
 @pytest.mark.parametrize("change", [{"weight": 0.0}, {"wire_bytes": 0.0}])

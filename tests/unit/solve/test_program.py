@@ -95,20 +95,6 @@ def test_applied_values_are_feasible(topics, capacity, memory, overhead):
         assert answer.depth_applied <= max(cap * (1 + 2e-6), row.min_depth)
 
 
-@examples(80)
-@given(topics=robots(), capacity=st.one_of(st.just(0.0), CAPACITIES), share=st.floats(0.01, 1.0))
-def test_between_two_plans_the_price_gives_the_same_rates(topics, capacity, share):
-    """The closed form alone gives the level of the whole answer, and the same floors give way."""
-    solver = program(Backend.OSQP)
-    price = solved(solver, capacity, topics, AMPLE, share=share, packet_overhead_s=1e-4).price
-    quick = solver.on_link(capacity, topics, share=share, packet_overhead_s=1e-4).price()
-    assert (quick.yielding_weight, quick.kept_minimum) == (price.yielding_weight, price.kept_minimum)
-    for row in topics:
-        low, high = (cost(row, capacity or 1.0, 1e-4) * hz for hz in (row.min_rate_hz, row.desired_rate_hz))
-        shares = [min(max(each.share_per_weight * row.weight, low), high) for each in (price, quick)]
-        assert shares[0] == pytest.approx(shares[1], abs=2e-6)
-
-
 @pytest.mark.parametrize(
     ("fields", "memory", "depth", "binding"),
     [
