@@ -117,8 +117,9 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:
         runtime.prepare_environment(runtime.DAEMON_PROFILE)
+    runtime.send_without_waiting()
     with ExitStack() as stack:
-        node = own_node = stack.enter_context(runtime.control_node("arpd", link_domain, own()))
+        node = own_node = stack.enter_context(runtime.ros_node("arpd", link_domain, address=own()))
         if link_domain is not None:
             runtime.prepare_for_this_host()
             own_node = stack.enter_context(runtime.ros_node("arpd"))  # in the robot's own domain, for its diagnostics

@@ -24,7 +24,7 @@ from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
-from arpd.ros.rcl import InvalidHandle, NotedPublisher, is_live, no_publisher_events
+from arpd.ros.rcl import NO_EVENTS, InvalidHandle, NotedPublisher, is_live
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class NodePublishers:
             UInt8MultiArray,
             PUBLISHERS_TOPIC,
             _NEWEST,
-            event_callbacks=no_publisher_events(),
+            event_callbacks=NO_EVENTS,
             publisher_class=partial(NotedPublisher, self._end),
         )
         # Read in a thread of arpd's own: no callback of the application delays them.

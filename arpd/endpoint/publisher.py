@@ -15,7 +15,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.node_publishers import NodePublishers
-from arpd.endpoint.writer import RosWriter, overridden, serialized, swap_failure, with_qos, without_ours
+from arpd.endpoint.writer import RosWriter, overridden, qos_of, serialized, swap_failure, with_qos, without_ours
 from arpd.model.endpoints import (
     NO_REFUSAL,
     Direction,
@@ -26,7 +26,7 @@ from arpd.model.endpoints import (
     SwapResult,
     WriterQos,
 )
-from arpd.ros.graph import Requests, deadline_ns_of, type_name_of
+from arpd.ros.graph import Requests, type_name_of
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class AdaptivePublisher:
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
         self._overrides = without_ours(qos_overriding_options)
-        self.baseline = WriterQos(depth=max(1, self.qos_profile.depth), deadline_ns=deadline_ns_of(self.qos_profile))
+        self.baseline = qos_of(self.qos_profile)
         self._shared = NodePublishers.of(node)
         self._flow = Flow(
             create=self._create_writer,

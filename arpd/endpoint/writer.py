@@ -16,7 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.model.endpoints import SwapResult, WriterQos
-from arpd.ros.graph import deadline_ns_of
+from arpd.ros.graph import period_ns
 from arpd.ros.plan_message import checked
 from arpd.ros.rcl import InvalidHandle, Outlet, status_of
 
@@ -41,6 +41,11 @@ class RosWriter:
         does not notice when there are two
     requests : what the readers of its topic request
     in_force : returns the writer by which samples leave, None while the first one is made
+
+    Attributes
+    ----------
+    publish : writes one serialized sample
+    publish_late : does so also after the context has been shut down
     """
 
     def __init__(
@@ -59,16 +64,9 @@ class RosWriter:
         self._hears_of_deadlines = getattr(event_callbacks, "deadline", None) is not None
         self.refused_policy = ""  # by the reader that refused last
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
-        self._outlet = Outlet(self.publisher.handle)
-        self.deadline_ns = deadline_ns_of(self.publisher.qos_profile)
-
-    def publish(self, sample: bytes) -> None:
-        """Write one serialized sample."""
-        self._outlet.publish(sample)  # rclpy would hold the interpreter while the link is full
-
-    def publish_late(self, sample: bytes) -> None:
-        """Write one serialized sample, also after the context has been shut down."""
-        self._outlet.publish_late(sample)
+        outlet = Outlet(self.publisher.handle)  # rclpy would hold the interpreter while the link is full
+        self.publish, self.publish_late = outlet.publish, outlet.publish_late
+        self.deadline_ns = period_ns(self.publisher.qos_profile.deadline)
 
     def matched(self) -> int:
         """Count the matched readers."""
@@ -147,6 +145,11 @@ def serialized(msg: Any, msg_type: Any) -> bytes:
     raise TypeError(f"Expected {msg_type}, got {type(msg)}")
 
 
+def qos_of(profile: QoSProfile) -> WriterQos:
+    """Return the policies of a profile that a swap changes."""
+    return WriterQos(depth=max(1, profile.depth), deadline_ns=period_ns(profile.deadline))
+
+
 def with_qos(profile: QoSProfile, qos: WriterQos) -> QoSProfile:
     """Return a profile with another depth and deadline; every other policy is the application's."""
     changed = copy(profile)
@@ -163,7 +166,7 @@ def overridden(node: Node, topic: str, profile: QoSProfile, options: QoSOverridi
 
     Raises ValueError, which names the parameter, if one is out of bounds.
     """
-    own = WriterQos(depth=max(1, profile.depth), deadline_ns=deadline_ns_of(profile))
+    own = qos_of(profile)
     found = {}
     suffix = "" if options is None or options.entity_id is None else f"_{options.entity_id}"
     for policy, field, value in (("depth", "depth", own.depth), ("deadline", "deadline_ns", own.deadline_ns)):

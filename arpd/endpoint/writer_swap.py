@@ -24,7 +24,7 @@ class SwapTiming:
     Parameters
     ----------
     settle_s : least time between the last change of the matched readers and the switch: the readers' side matches later
-    clean_settle_s : the same while the link loses less than ``clean_loss_ratio`` of its packets
+    clean_settle_s : the same while the link loses less than 0.5 % of its packets
     clean_unproven_s : the same if a reader acknowledges nothing, so that a new writer cannot prove that it hears it
     match_timeout_s : time after which a new writer is destroyed when a reader does not match it, or does not
         acknowledge its samples; also the longest delay that readers which keep joining can cause
@@ -39,7 +39,6 @@ class SwapTiming:
     settle_s: float = 3.0  # at 10 % loss, of 570 readers half matched at once, 2 % after 1 s, the last after 2.8 s
     clean_settle_s: float = 0.2
     clean_unproven_s: float = 1.5  # at 0.4 % loss, one lost packet delayed the match of 60 of 100 readers to 1.1 s
-    clean_loss_ratio: float = CLEAN_LOSS_RATIO
     match_timeout_s: float = 10.0
     watch_s: float = 0.3
     hold_s: float = 0.3
@@ -337,7 +336,7 @@ class WriterSwap(Generic[W]):
 
     @property
     def _is_link_clean(self) -> bool:
-        return self.loss_ratio is not None and self.loss_ratio < self._timing.clean_loss_ratio
+        return self.loss_ratio is not None and self.loss_ratio < CLEAN_LOSS_RATIO
 
     @property
     def _settle_s(self) -> float:

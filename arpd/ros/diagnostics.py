@@ -37,12 +37,11 @@ class Diagnostics:
         snapshot: Callable[[], Snapshot | None],
         *,
         clock: Callable[[], float] = time.monotonic,
-        host: str = "",
     ) -> None:
         self._node = node
         self._snapshot = snapshot
         self._clock = clock
-        self._host = host or platform.node()
+        self._host = platform.node()
         # Reliable and one deep, as in diagnostic_updater: each message has everything.
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=1))
         self._published_s = -math.inf

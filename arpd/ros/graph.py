@@ -93,19 +93,14 @@ def _endpoint(info: Mapping[str, Any]) -> Endpoint:
         type_hash=f"RIHS{type_hash['version']:02}_{type_hash['value'].hex()}" if has_hash else "",
         is_reliable=qos["reliability"] == QoSReliabilityPolicy.RELIABLE,
         is_latched=qos["durability"] == QoSDurabilityPolicy.TRANSIENT_LOCAL,
-        deadline_ns=_period_ns(qos["deadline"]),
-        lifespan_ns=_period_ns(qos["lifespan"]),
-        lease_ns=_period_ns(qos["liveliness_lease_duration"]),
+        deadline_ns=period_ns(qos["deadline"]),
+        lifespan_ns=period_ns(qos["lifespan"]),
+        lease_ns=period_ns(qos["liveliness_lease_duration"]),
         is_manual=qos["liveliness"] == QoSLivelinessPolicy.MANUAL_BY_TOPIC,
     )
 
 
-def deadline_ns_of(qos: Any) -> int:
-    """Return the deadline of a QoS profile, 0 = infinite (ns)."""
-    return _period_ns(qos.deadline)
-
-
-def _period_ns(duration: Any) -> int:
+def period_ns(duration: Any) -> int:
     """Return a period of a QoS profile, 0 = infinite, for which rclpy has 2^63-1 or 0 (ns)."""
     nanoseconds = int(duration.nanoseconds)
     return 0 if nanoseconds >= INFINITE_NS else nanoseconds

@@ -27,7 +27,7 @@ from arpd.ros.cdr import octets, wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
 from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread
-from arpd.ros.runtime import control_node, serve_until, stop_on_signals
+from arpd.ros.runtime import ros_node, send_without_waiting, serve_until, stop_on_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -148,7 +148,8 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     name = name or default_name(reader.name)
     own = own_address(config_path, link, is_far=True)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
-    with control_node("arpd_peer", link, own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
+    send_without_waiting()
+    with ros_node("arpd_peer", link, address=own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
         log.info("reporting what arrives on %s as %s", reader.name, name)
         status = ProbeStatus(lambda: f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
         serve_until(

@@ -13,7 +13,7 @@ from arpd.model.plan import NO_PLAN
 from arpd.ros.cdr import wrap
 from arpd.ros.names import PLAN_TOPIC
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
-from arpd.ros.rcl import no_publisher_events
+from arpd.ros.rcl import NO_EVENTS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -70,9 +70,7 @@ class PlanSender:
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
         self._sent, self._sent_s, self._awaited = wanted, now_s, set(missing)
         if self._writer is None:
-            self._writer = self._ros.create_publisher(
-                UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=no_publisher_events()
-            )
+            self._writer = self._ros.create_publisher(UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=NO_EVENTS)
         self._writer.publish(wrap(encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)))
 
     def forget(self) -> None:

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 InvalidHandle = rclpy_implementation.InvalidHandle  # what a destroyed node or endpoint raises
+#: Of a publisher. Each of rclpy's default callbacks is a waitable that the node's executor checks in every turn, only
+#: to log a warning: with those of four publishers and four subscriptions a turn took 139 µs, without them 85 µs.
+NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 class Allocator(ctypes.Structure):
@@ -181,15 +184,6 @@ def is_live(context: Any) -> bool:
             return bool(context.handle.ok())
     except InvalidHandle:
         return False
-
-
-def no_publisher_events() -> PublisherEventCallbacks:
-    """Return callbacks of a publisher without rclpy's defaults.
-
-    Each default is a waitable that the node's executor checks in every turn, only to log a warning. With those of four
-    publishers and four subscriptions a turn took 139 µs, without them 85 µs.
-    """
-    return PublisherEventCallbacks(use_default_callbacks=False)
 
 
 def status_of(endpoint: Any, event: Any) -> Any:

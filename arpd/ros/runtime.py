@@ -245,14 +245,6 @@ def _require_ports(context: Any) -> None:
 
 
 @contextmanager
-def control_node(name: str, link: LinkDomain | None, address: str | None) -> Iterator[Any]:
-    """Run a node as `ros_node` does, with writes that never wait for the link (`send_without_waiting`)."""
-    send_without_waiting()
-    with ros_node(name, link, address=address) as node:
-        yield node
-
-
-@contextmanager
 def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
     """Let a context whose first node is made meanwhile look for others at known addresses, and never wait for a write.
 

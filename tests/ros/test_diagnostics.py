@@ -1,5 +1,6 @@
 """The daemon's statuses on /diagnostics, as a monitor on another node receives them."""
 
+import platform
 import time
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ class Daemon:
     def __init__(self, node):
         self._decision_log = DecisionLog()
         self.node, self.now_s, self.snapshot = node, 0.0, None
-        self.diagnostics = Diagnostics(node, lambda: self.snapshot, clock=lambda: self.now_s, host="robot-1")
+        self.diagnostics = Diagnostics(node, lambda: self.snapshot, clock=lambda: self.now_s)
 
     def take(self, **link):
         """Take the sample with all traffic admitted, and another link where the test says so."""
@@ -64,7 +65,7 @@ def test_a_monitor_sees_every_status(monitor, daemon, eventually):
     eventually("the link is shown", lambda: daemon.look() or "4 Mbit/s" in monitor["arpd: link"].message)
     array = monitor.arrays[-1]
     assert [status.name for status in array.status] == NAMES
-    assert {status.hardware_id for status in array.status} == {"robot-1"}
+    assert {status.hardware_id for status in array.status} == {platform.node()}
     assert monitor["arpd: link"].level == DiagnosticStatus.OK
     assert all(value.key and value.value for status in array.status[:2] for value in status.values)
     assert array.header.stamp.sec > 0

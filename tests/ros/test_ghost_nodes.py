@@ -15,7 +15,7 @@ from arpd.model.endpoints import SwapState, WriterQos
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.envelope import Record
-from arpd.ros.graph import deadline_ns_of
+from arpd.ros.graph import period_ns
 
 TOPIC = "/ghostly"
 MS = 1_000_000
@@ -83,7 +83,7 @@ class Ghost:
 
     @property
     def deadlines(self):
-        return [deadline_ns_of(info.qos_profile) for info in self.node.get_publishers_info_by_topic(TOPIC)]
+        return [period_ns(info.qos_profile.deadline) for info in self.node.get_publishers_info_by_topic(TOPIC)]
 
 
 @pytest.fixture

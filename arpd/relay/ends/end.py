@@ -35,7 +35,7 @@ from arpd.ros.cdr import octets
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_arpds
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
-from arpd.ros.rcl import Outlet, no_publisher_events
+from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -108,7 +108,7 @@ class End:
         states, small, signs, calls = (
             Outlet(
                 link_node.create_publisher(
-                    UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=no_publisher_events()
+                    UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=NO_EVENTS
                 ).handle
             )
             for ending, qos in (("", _LATCHED), ("/small", LINK_QOS), ("/alive", _ALIVE), ("/calls", LINK_QOS))

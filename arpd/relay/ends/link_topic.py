@@ -20,7 +20,7 @@ from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
 from arpd.ros.graph import type_name_of
 from arpd.ros.graph_view import GraphView
-from arpd.ros.rcl import Outlet, no_publisher_events
+from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -68,7 +68,7 @@ class LinkTopic(Carried):
         self._node, self._thread = node, thread
         self._view = GraphView.of(node)
         self._publisher = node.create_publisher(
-            UInt8MultiArray, topic, QoSProfile(depth=LINK_DEPTH), event_callbacks=no_publisher_events()
+            UInt8MultiArray, topic, QoSProfile(depth=LINK_DEPTH), event_callbacks=NO_EVENTS
         )
         self.topic_name = str(self._publisher.topic_name)
         asked = settings.depths.get(topic)

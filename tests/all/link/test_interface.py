@@ -32,7 +32,7 @@ while True:
 PUBLISHER = """
 import json, sys, threading, time
 from arpd import AdaptivePublisher
-from arpd.ros.runtime import ros_node
+from arpd.ros.runtime import ros_node, send_without_waiting
 from std_msgs.msg import String
 
 class Listener(AdaptivePublisher):
@@ -52,10 +52,11 @@ import json, sys, time
 from arpd.model.price import Price
 from arpd.model.probing import ProbeRequest
 from arpd.ros.world import RosControl
-from arpd.ros.runtime import control_node
+from arpd.ros.runtime import ros_node, send_without_waiting
 from arpd.model.settings import GraphSettings
 
-with control_node("arpd", None, None) as node:
+send_without_waiting()
+with ros_node("arpd") as node:
     world = RosControl(node, interface=sys.argv[1], on_report=lambda: None)
     heard = number = 0
     while True:
