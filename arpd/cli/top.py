@@ -38,7 +38,7 @@ examples:
   arpd top --url http://robot.local:9464
   ARPD_PASSWORD=… arpd top --url https://robot.local:9464 --cacert ca.crt --user robot
 
-exit codes: 0 ended by you, 2 wrong usage, 3 no daemon answers at the start"""
+exit codes: 0 ended by you, 1 the daemon is of another version, 2 wrong usage, 3 no daemon answers at the start"""
 
 
 def _top(options: argparse.Namespace) -> int:

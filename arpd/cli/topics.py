@@ -23,7 +23,7 @@ from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.model.settings import RelaySettings, Settings
 from arpd.report.first_guess import first_guess
-from arpd.report.wording import count
+from arpd.report.wording import count, listed
 from arpd.ros.rmw import require_middleware
 
 if TYPE_CHECKING:
@@ -85,19 +85,19 @@ def _list_topics(options: argparse.Namespace) -> int:
         raise UsageError("--robot and --base go into a configuration; give --suggest, too")
     config = config_of(options)
     settings = Settings() if config is None else load_settings(config, interfaces=None)
-    listed = _measured(options, settings.relay)
-    if not listed.topics:
-        raise ArpdError(_nothing_found(listed))
+    found = _measured(options, settings.relay)
+    if not found.topics:
+        raise ArpdError(_nothing_found(found))
     if options.json:
-        topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in listed.topics]
-        print(json.dumps(asdict(listed) | {"topics": topics}, indent=2))
+        topics = [asdict(topic) | {"is_crossing": topic.is_crossing} for topic in found.topics]
+        print(json.dumps(asdict(found) | {"topics": topics}, indent=2))
     elif options.suggest:
-        _suggest(listed, options, settings)
+        _suggest(found, options, settings)
     else:
-        show(_table(listed.topics))
-        print("\n".join(["", *_summary(listed)]))
-    if listed.cannot_tell_hosts and not options.json:
-        _remark(listed.cannot_tell_hosts)
+        show(_table(found.topics))
+        print("\n".join(["", *_summary(found)]))
+    if found.cannot_tell_hosts and not options.json:
+        _remark(found.cannot_tell_hosts)
     return 0
 
 
@@ -127,13 +127,13 @@ def _measured(options: argparse.Namespace, relay: RelaySettings) -> TopicList:
         return survey.run(options.seconds)
 
 
-def _nothing_found(listed: TopicList) -> str:
+def _nothing_found(found: TopicList) -> str:
 
     def value(name: str) -> str:
         return os.environ.get(name) or "not set"
 
     return f"""\
-no topics in ROS domain {listed.domain_id}. Check, in this order:
+no topics in ROS domain {found.domain_id}. Check, in this order:
   the robot's nodes run now                       ros2 node list
   ROS_DOMAIN_ID is that of the nodes              here: {value("ROS_DOMAIN_ID")}
   ROS_AUTOMATIC_DISCOVERY_RANGE is not OFF        here: {value("ROS_AUTOMATIC_DISCOVERY_RANGE")}
@@ -142,7 +142,7 @@ no topics in ROS domain {listed.domain_id}. Check, in this order:
   RMW_IMPLEMENTATION is the same                  here: {value("RMW_IMPLEMENTATION")}"""
 
 
-def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings) -> None:
+def _suggest(found: TopicList, options: argparse.Namespace, settings: Settings) -> None:
     """Print a configuration whose link is where the options say, or that in force, or this host's interfaces."""
     here, relay = local_domain(), settings.relay
     domains = (relay.link_domain, *_LINK_DOMAINS)
@@ -153,8 +153,8 @@ def _suggest(listed: TopicList, options: argparse.Namespace, settings: Settings)
         guessed_from = interface if robot else ""
     link_domain = next(domain for domain in domains if domain is not None and domain != here)
     settings = replace(settings, relay=RelaySettings(link_domain=link_domain, robot=robot, base=base))
-    guess = first_guess(listed.topics)
-    origin = f"arpd {__version__} on {platform.node()}, {len(listed.topics)} topics in {listed.seconds:g} s"
+    guess = first_guess(found.topics)
+    origin = f"arpd {__version__} on {platform.node()}, {len(found.topics)} topics in {found.seconds:g} s"
     sys.stdout.write(first_file(guess, settings, guessed_from=guessed_from, origin=origin))
     _remark("weights and minimum rates are guesses: read them, then `arpd check FILE`")
 
@@ -171,20 +171,20 @@ def _table(topics: Sequence[LinkTopic]) -> Table:
     return fitted([titles, *rows], ranks=[0, 3, 0, 1, 0, 0, 4, 0], words={"TYPE", "LINK", "FROM, TO"})
 
 
-def _summary(listed: TopicList) -> list[str]:
+def _summary(found: TopicList) -> list[str]:
     """Say what the topics publish together, and what to do next."""
-    measured = [topic for topic in listed.topics if topic.traffic is not None]
+    measured = [topic for topic in found.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
-    unknown = len(listed.topics) - len(measured)
+    unknown = len(found.topics) - len(measured)
     crosses = f"{len(crossing)} of them cross the link now: {_publish(crossing)}" if crossing else "none crosses now"
     lines = [
         _LEGEND,
-        f"{count(len(measured), 'topic')} measured for {listed.seconds:g} s: {_publish(measured)}; {crosses}"
+        f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {crosses}"
         + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
         lines.append("Not one message arrived: do the nodes publish now?")
-    if not any(topic.is_from_robot for topic in listed.topics):
+    if not any(topic.is_from_robot for topic in found.topics):
         lines += [
             "No topic seems to be published on this host. A node that is older than an address of this host counts as",
             "one beyond: restart it, or set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST here.",
@@ -227,9 +227,7 @@ def _from(topic: LinkTopic) -> Iterable[str]:
 
 
 def _named(nodes: Sequence[str]) -> str:
-    shown = [printable(node.removeprefix("/"), longest=60) or "an unnamed node" for node in nodes[:_MOST_NAMED]]
-    more = [f"{len(nodes) - _MOST_NAMED} more"] if len(nodes) > _MOST_NAMED else []
-    return ", ".join((*shown, *more))
+    return listed([printable(node.removeprefix("/"), longest=60) or "an unnamed node" for node in nodes], _MOST_NAMED)
 
 
 def _publish(topics: Iterable[LinkTopic]) -> str:

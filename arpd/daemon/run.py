@@ -127,10 +127,10 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         from arpd.ros.world import RosControl  # noqa: PLC0415
         from arpd.web.server import HttpServer  # noqa: PLC0415
 
-        link, resting, durations = settings.link.interface, threading.Event(), new_durations()
+        resting, durations = threading.Event(), new_durations()
         world = RosControl(
             node,
-            interface=link,
+            interface=settings.link.interface,
             route=partial(interface_of_link, settings.relay.base, settings.relay.robot),
             on_report=signals.wakeup.set,
             has_two_ends=link_domain is not None,
@@ -138,7 +138,6 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
         daemon = Daemon(
             world,
             settings,
-            interface=link,
             config_path=str(config_path),
             estimator=estimator,
             tell=log_event,

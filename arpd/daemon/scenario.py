@@ -234,7 +234,6 @@ class _Run:
         self._daemon = Daemon(
             self._world,
             scenario.settings,
-            interface="sim0",
             clock=lambda: clock.now_s,
             wall_clock=lambda: _UNIX_S + clock.now_s,
             estimator=Oracle(self._truth) if scenario.way is Way.ORACLE else None,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.host.notify import Notifier, Watchdog
+from arpd.report.situation import status_line
 from arpd.ros.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
@@ -182,7 +183,7 @@ class Supervisor:
         self._heartbeat.beat()
         if (counted := self._daemon.record.counted) != self._said_counted:
             self._said_counted = counted
-            self._say("; ".join(part for part in (self._daemon.status_line(), self._fault()) if part))
+            self._say("; ".join(part for part in (status_line(self._daemon.snapshot), self._fault()) if part))
 
     def _say(self, status: str) -> None:
         if status != self._status:

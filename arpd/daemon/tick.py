@@ -18,7 +18,6 @@ from arpd.govern.progress import Progress, progress
 from arpd.model.allocation import Allocation, Decision
 from arpd.model.plan import MOST_GENERATION, QosPlan, own_qos
 from arpd.model.price import Price
-from arpd.report.situation import status_line
 from arpd.report.snapshot import Snapshot
 from arpd.solve.program import Program
 from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_traffic
@@ -66,7 +65,6 @@ class Daemon:
     ----------
     world : what it observes and acts on
     settings : configuration in force
-    interface : link interface as configured; the snapshot has the name of the interface that was found
     config_path : file of the settings, for the snapshot
     clock, wall_clock : monotonic and Unix time (s)
     estimator : estimates the capacity; `arpd.estimate.estimator.Estimator` by default
@@ -84,7 +82,6 @@ class Daemon:
         world: World,
         settings: Settings,
         *,
-        interface: str,
         config_path: str = "",
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
@@ -93,7 +90,7 @@ class Daemon:
         timed: Callable[[str, float], None] = lambda _name, _took_s: None,
         load: Callable[[str], Any] | None = None,
     ) -> None:
-        self.interface = interface
+        self.interface = settings.link.interface
         self.configuration = Configuration(settings, path=config_path, wall_clock=wall_clock)
         self.record = Record(tell=tell, timed=timed)
         self._world = world
@@ -313,10 +310,6 @@ class Daemon:
                 self._world.apply(plan, lease_s=0.0, missing=shown.missing, now_s=seen.now_s)
                 wait(TICK_S)
         return missing
-
-    def status_line(self) -> str:
-        """Return one line for ``systemctl status``."""
-        return status_line(self.snapshot)
 
 
 def _crossing(seen: Observation) -> int:

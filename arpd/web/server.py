@@ -41,7 +41,7 @@ _LIMITS = {
     "body_timeout": 5.0,
 }
 _LOOK_S = 1.0  # between two looks at the files of the web-config, and two tries to listen
-_STOP_S = 2.0
+_WAIT_S = 2.0  # for its first try to listen, which may ask a name server, and for its end
 
 
 class HttpServer:
@@ -103,13 +103,13 @@ class HttpServer:
         stop = asyncio.Event()
         thread = threading.Thread(target=self._run, args=(loop, stop, tried), name="arpd-http", daemon=True)
         thread.start()
-        tried.wait()
+        tried.wait(_WAIT_S)
         try:
             yield
         finally:
             with suppress(RuntimeError):  # it has failed: its loop is closed
                 loop.call_soon_threadsafe(stop.set)
-            thread.join(_STOP_S)
+            thread.join(_WAIT_S)
 
     def _run(self, loop: asyncio.AbstractEventLoop, stop: asyncio.Event, tried: threading.Event) -> None:
         try:

@@ -14,6 +14,7 @@ from arpd.daemon.tick import Daemon
 from arpd.host.config.keys import SECTIONS, flatten
 from arpd.host.config.load import load_settings
 from arpd.model.observation import MemoryState
+from arpd.report.situation import status_line
 from arpd.solve import backends
 from tests.sample_publishers import publisher
 from tests.unit.daemon.world import World
@@ -124,7 +125,7 @@ def course(settings, *, reload=None):
     """Return a daemon's decisions and transitions, tick by tick, and its action on a stop."""
     world = Robot()
     now_s = 0.0
-    daemon: Any = Daemon(world, settings, interface="w", clock=lambda: now_s)
+    daemon: Any = Daemon(world, settings, clock=lambda: now_s)
     if reload is not None:
         assert daemon.reload(lambda: reload)
     done = []
@@ -181,7 +182,7 @@ def test_a_reloaded_key_is_in_force(load, untouched, key):
 def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
     """The daemon keeps the value in force, and names the key in log, status and metrics."""
     old, new = load(document(key)), load(changed(key))
-    daemon: Any = Daemon(Robot(), old, interface="w", clock=lambda: 0.0)
+    daemon: Any = Daemon(Robot(), old, clock=lambda: 0.0)
     assert daemon.reload(lambda: new)
     assert daemon.settings == old
     differing = {name for name in flatten(old) | flatten(new) if flatten(old).get(name) != flatten(new).get(name)}
@@ -189,21 +190,21 @@ def test_a_key_that_needs_a_restart_is_not_in_force(load, caplog, key):
     assert {message.partition(": ")[0] for message in waiting} == differing
     daemon.tick(0.0)
     assert set(daemon.snapshot.keys_awaiting_restart) == differing
-    assert "restart needed: the file's " in daemon.status_line()
+    assert "restart needed: the file's " in status_line(daemon.snapshot)
 
 
 # -- whole or not at all
 
 
 def daemon_of(settings):
-    return Daemon(Robot(), settings, interface="w", clock=lambda: 0.0)
+    return Daemon(Robot(), settings, clock=lambda: 0.0)
 
 
 def test_a_part_that_breaks_leaves_the_old_configuration_whole(load, monkeypatch):
     """When no program can be made of the new settings, every part continues with the old ones."""
     old, new = load(document()), load(changed("graph.sensing_topics") | changed("link.headroom"))
     now_s = 0.0
-    daemon: Any = Daemon(Robot(), old, interface="w", clock=lambda: now_s)
+    daemon: Any = Daemon(Robot(), old, clock=lambda: now_s)
     with monkeypatch.context() as broken:
         broken.setattr(tick, "Program", Mock(side_effect=RuntimeError("broken")))
         with pytest.raises(RuntimeError, match="broken"):
@@ -240,7 +241,7 @@ def test_a_file_that_cannot_be_used_changes_nothing(tmp_path, caplog):
         daemon.tick(0.0)
         assert daemon.settings is old
         assert why in daemon.snapshot.config_error
-        assert f"reload refused: {path}" in daemon.status_line()
+        assert f"reload refused: {path}" in status_line(daemon.snapshot)
         assert caplog.records[-1].message == daemon.snapshot.config_error
         assert daemon.snapshot.events[-1].kind == "reload_refused"
     path.unlink()
@@ -254,7 +255,7 @@ def test_what_changed_is_logged(load, caplog):
     """Each changed key has a line, keys that wait for a restart are named, and an unchanged file makes no plan."""
     caplog.set_level("INFO")
     settings, now_s = load(document()), 0.0
-    daemon: Any = Daemon(Robot(), settings, interface="w", clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s)
+    daemon: Any = Daemon(Robot(), settings, clock=lambda: now_s, wall_clock=lambda: 1.7e9 + now_s)
     while daemon.tick(now_s).plan.generation == 0:
         now_s += DT_S
     wanted = changed("http.port") | {"on_stop": "keep", "program": {"deadline_slack": 2}}

@@ -51,7 +51,7 @@ class Daemon:
         self.then = iter(())
         self.settings = Settings()
         self.loaded = []
-        self.error = ""
+        self.error, self.snapshot = "", None
         self.failed = 0
         self.ticked = 0
         self.record = self.configuration = self
@@ -78,9 +78,6 @@ class Daemon:
 
     def note_lateness(self, late_s):
         pass
-
-    def status_line(self):
-        return "fine"
 
 
 def nothing():
@@ -169,7 +166,7 @@ def test_only_finished_ticks_feed_the_watchdog(signals, caplog):
     Supervisor(daemon, signals, notifier, load=Settings, fault=lambda: "no metrics: port taken").run()
     assert messages_while_failing == ["ticks fail (ValueError: a bug); the publishers keep their plan"]
     assert daemon.failed == 20
-    assert notifier.messages[1:] == ["READY", "WATCHDOG", "fine; no metrics: port taken"]
+    assert notifier.messages[1:] == ["READY", "WATCHDOG", "starting; no metrics: port taken"]
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
     assert caplog.records[0].exc_info is not None
 

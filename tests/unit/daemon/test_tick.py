@@ -13,6 +13,7 @@ from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import LinkSettings, Settings
+from arpd.report.situation import status_line
 from arpd.solve.program import Program
 from tests.sample_link import LINK
 from tests.sample_publishers import publisher
@@ -48,7 +49,7 @@ class Robot(World):
 
 
 def restored(world):
-    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    daemon = Daemon(world, Settings(), clock=lambda: world.now_s)
     return daemon.restore(wait=world.wait)
 
 
@@ -57,7 +58,7 @@ def test_a_clean_stop_restores_by_a_generation_that_nodes_take():
     world = Robot()
     world.change(generation=MOST_GENERATION, direction=Direction.SENSING, remote_readers=1)
     settings = Settings(link=LinkSettings(capacity_bytes_per_second=1e6))
-    daemon = Daemon(world, settings, interface="lo", clock=lambda: world.now_s)
+    daemon = Daemon(world, settings, clock=lambda: world.now_s)
     while daemon.tick(world.now_s).plan.generation == 0:
         world.wait(0.1)
     assert daemon.restore(wait=world.wait) == 0
@@ -96,7 +97,7 @@ def test_a_daemon_that_stands_by_only_watches(caplog):
     caplog.set_level("INFO", "arpd.daemon.run")
     world = Robot()
     events: list[Any] = []
-    daemon = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s, tell=events.append)
+    daemon = Daemon(world, Settings(), clock=lambda: world.now_s, tell=events.append)
     world.hear("robot-2")
     for _ in range(100):
         world.now_s += 0.1
@@ -105,7 +106,7 @@ def test_a_daemon_that_stands_by_only_watches(caplog):
     stop(daemon)
     assert not world.sent
     assert "another daemon drives" in caplog.text
-    assert "robot-2" in daemon.status_line()
+    assert "robot-2" in status_line(daemon.snapshot)
     assert [event.kind for event in events].count("standing_by") == 1
     world.hear("")
     world.now_s += 0.1
@@ -119,7 +120,7 @@ def test_a_predecessors_price_stays_until_there_is_another(generation, waits):
     """A daemon that has measured nothing yet sends a price to new nodes alone, because it would limit nothing."""
     world: Any = Robot()
     world.change(generation=generation, direction=Direction.SENSING, remote_readers=1)
-    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: world.now_s)
+    daemon: Any = Daemon(world, Settings(), clock=lambda: world.now_s)
     daemon.tick(world.now_s)
     while daemon.snapshot.allocation.price is None:
         assert bool(world.prices) is not waits
@@ -135,7 +136,7 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     world: Any = Robot()
     world.hear("robot-2")
     settings = Settings(link=LinkSettings(capacity_bytes_per_second=1e6))
-    daemon: Any = Daemon(world, settings, interface="lo", clock=lambda: 0.0)
+    daemon: Any = Daemon(world, settings, clock=lambda: 0.0)
     daemon.tick(0.0)
     world.hear("")
     world.change(direction=Direction.SENSING, remote_readers=1)
@@ -181,7 +182,7 @@ def test_it_plans_twice_a_second_and_at_once_on_news():
     def timed(name, _took_s):
         told[name] += 1
 
-    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link, timed=timed)
+    daemon: Any = Daemon(world, Settings(), clock=lambda: 0.0, estimator=link, timed=timed)
     for tick in range(10):
         daemon.record.note_lateness(0.0)
         daemon.tick(0.1 * tick)
@@ -197,7 +198,7 @@ def test_topics_that_have_settled_are_planned_when_the_capacity_is_known():
     """A daemon that starts waits for the capacity and for its topics at the same time, not for one after the other."""
     world, link = Robot(), KnownLink()
     world.change(source_rate_hz=100.0, remote_readers=1)
-    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
+    daemon: Any = Daemon(world, Settings(), clock=lambda: 0.0, estimator=link)
     for tick in range(40):
         link.has_evidence = tick >= 15
         if daemon.tick(0.1 * tick).reason:
@@ -209,7 +210,7 @@ def test_the_price_follows_the_link_within_a_tick():
     """The tick that sees another capacity sends another price, and no plan."""
     world, link = Robot(), KnownLink()
     world.change(source_rate_hz=100.0, remote_readers=1)
-    daemon: Any = Daemon(world, Settings(), interface="lo", clock=lambda: 0.0, estimator=link)
+    daemon: Any = Daemon(world, Settings(), clock=lambda: 0.0, estimator=link)
     for tick in range(19):
         daemon.tick(0.1 * tick)
     link.capacity = 4e4

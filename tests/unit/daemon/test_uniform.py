@@ -47,7 +47,7 @@ class Robot:
         )
         self.now_s = 0.0
         self.world = World(*PUBLISHERS, sensing_topics=11, actuation_topics=1, peers=0)
-        self.daemon: Any = Daemon(self.world, self.settings, interface="w", clock=lambda: self.now_s)
+        self.daemon: Any = Daemon(self.world, self.settings, clock=lambda: self.now_s)
 
     def run(self, seconds):
         causes = []

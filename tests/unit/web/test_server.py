@@ -153,6 +153,18 @@ def test_a_fault_while_answering_leaks_nothing_and_is_logged(caplog):
     assert "AttributeError" in caplog.text
 
 
+def test_a_name_server_that_is_silent_keeps_no_daemon_from_its_first_tick(monkeypatch):
+    """While ``http.host`` is looked up the daemon goes on, and the server listens later."""
+    answers = threading.Event()
+    monkeypatch.setattr("arpd.web.server._WAIT_S", 0.02)
+    monkeypatch.setattr("arpd.web.server.bind_sockets", lambda *at, **_: answers.wait(60.0) and bind_sockets(*at))
+    server = server_of(HttpSettings(port=0))
+    with server.up():
+        assert not server.port
+        answers.set()
+        eventually("it serves", lambda: server.port)
+
+
 def test_a_port_that_is_taken_is_tried_again(caplog, monkeypatch):
     """The daemon goes on without metrics, logs once which keys to change, and serves as soon as the port is free."""
     monkeypatch.setattr("arpd.web.server._LOOK_S", 0.02)
