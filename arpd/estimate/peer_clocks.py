@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from arpd.model.probing import ClockOffset
-
-if TYPE_CHECKING:
-    from arpd.model.probing import PeerReport
+from arpd.model.probing import ClockOffset, PeerReport
 
 _WINDOW_S = 30.0  # two clocks that nobody corrects part by 3 ms in this time (100 ppm)
 _ROUNDING_S = 1e-6  # of a delay between clocks of which one was never set

@@ -39,10 +39,6 @@ class ProbeSchedule:
 
     Calm trains spend a part of the budget. The rest is saved for the seconds after a fall, when several trains are
     worth most.
-
-    Attributes
-    ----------
-    quiet_s : most time between two reports that a probe asks for (s)
     """
 
     def __init__(self) -> None:
@@ -50,7 +46,7 @@ class ProbeSchedule:
         self._saved_bytes = 0.0
         self._small_at_s = math.inf
         self._trains = self._probes = 0
-        self.quiet_s = 0.0
+        self._quiet_s = 0.0
 
     def hurry(self) -> None:
         """Let the next ping leave at once."""
@@ -87,7 +83,7 @@ class ProbeSchedule:
         ping_bytes = copies * probe_wire_bytes(PING_BYTES) + copies * REPORT_BYTES
         ping_s = min(PING_MOST_S, max(PING_S, ping_bytes / (PINGS_SHARE * capacity)))
         ping_s = max(ping_s, RESTING_PING_S) if is_resting else ping_s
-        self.quiet_s = _QUIET_PINGS * ping_s
+        self._quiet_s = _QUIET_PINGS * ping_s
         packets = max(TRAIN_LEAST_PACKETS, min(TRAIN_MOST_PACKETS, math.ceil(TRAIN_S * capacity / PACKET_BYTES)))
         cost = copies * packets * probe_wire_bytes(PACKET_BYTES)
         is_short = is_short and cost <= SHORT_TRAIN_S * capacity
@@ -128,7 +124,7 @@ class ProbeSchedule:
 
     def _request(self, packets: int, packet_bytes: int) -> ProbeRequest:
         self._probes += 1
-        return ProbeRequest(packets=packets, packet_bytes=packet_bytes, number=self._probes, quiet_s=self.quiet_s)
+        return ProbeRequest(packets=packets, packet_bytes=packet_bytes, number=self._probes, quiet_s=self._quiet_s)
 
 
 _WINDOW_S = 20.0  # 250 packets on a fast link, 50 on a slow one

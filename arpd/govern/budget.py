@@ -6,13 +6,12 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING
 
-from arpd.model.link import LinkState
+from arpd.model.link import LinkEstimate, LinkState
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from arpd.model.allocation import Topic
-    from arpd.model.link import LinkEstimate
 
 _TARGET_S = 0.03  # a queue up to this, above what one large message explains, may stay
 _DRAIN_S = 0.15  # a longer one is to be gone after about so long

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 
 from arpd.govern.plan import Move, Wanted
 from arpd.govern.swaps import SwapBudget, swap_costs
-from arpd.model.allocation import Binding, Decision
+from arpd.model.allocation import Allocation, Binding, Decision, Topic
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from arpd.model.allocation import Allocation, Topic
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 

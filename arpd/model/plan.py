@@ -52,11 +52,6 @@ class TopicPlan:
         """Depth and deadline, which only a swap changes."""
         return self.depth, self.deadline_ns
 
-    @property
-    def promised_hz(self) -> float:
-        """Rate that keeps the offered deadline, 0 without one (Hz)."""
-        return NANOSECONDS_PER_SECOND / self.deadline_ns if self.deadline_ns else 0.0
-
 
 def own_qos(rate_hz: float) -> TopicPlan:
     """Return the row that gives each publisher of a topic its application's depth and deadline back."""
@@ -98,6 +93,11 @@ NO_PLAN = PlanAnswer()
 # Nodes may tell any generation, but no plan gets one above this: every message and metric can hold it. At this number
 # generations no longer tell plans apart; everything else continues.
 MOST_GENERATION = 2**53
+
+
+def rate_of(period_ns: int) -> float:
+    """Return the rate of a whole period (Hz); 0 for none."""
+    return NANOSECONDS_PER_SECOND / period_ns if period_ns else 0.0
 
 
 def is_kept(offered_ns: int, requested_ns: int) -> bool:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from arpd.model.plan import TopicPlan
+from arpd.model.plan import TopicPlan, rate_of
 
 _SHARE_STEP = 0.02
 
@@ -68,7 +66,7 @@ class Price:
     def floor_hz(self, plan: TopicPlan) -> float:
         """Return the floor that the link leaves one publisher (Hz)."""
         if self.is_stale:
-            return max(plan.min_rate_hz, plan.promised_hz)
+            return max(plan.min_rate_hz, rate_of(plan.deadline_ns))
         if plan.weight == self.yielding_weight:  # exact: the program's classes of weight are, too
             return self.kept_minimum * plan.min_rate_hz
         return plan.min_rate_hz if plan.weight > self.yielding_weight else 0.0

@@ -9,24 +9,21 @@ from itertools import count
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane
-from arpd.model.endpoints import WriterQos
+from arpd.model.endpoints import PublisherState, WriterQos
 from arpd.model.wire import LINK_HEARTBEAT_S, wire_size
-from arpd.relay.envelope import Assembly, Record, pack, unpack, writer_key
+from arpd.relay.envelope import Assembly, Chunk, Record, pack, unpack, writer_key
 from arpd.relay.flight import SIGN_BYTES
 from arpd.relay.link_queue import LinkQueue
 from arpd.sim.robot import RCLPY_DEPTH, SimulatedSource, SimulatedThread
-from arpd.sim.socket import Socket
+from arpd.sim.socket import Carrier, Socket
 from arpd.sim.writer import SimulatedWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
-    from arpd.relay.envelope import Chunk
     from arpd.sim.result import SimTopic, TopicResult
-    from arpd.sim.socket import Carrier
     from arpd.sim.timeline import Timeline
 
 _LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.relay.ends.link_topic
@@ -41,7 +38,7 @@ class SimulatedEnd(SimulatedThread):
     session : of its process
     """
 
-    _queue: LinkQueue
+    queue: LinkQueue
 
     def __init__(self, timeline: Timeline, *, there: Carrier, back: Carrier, session: int) -> None:
         self._there, self.back = there, back
@@ -51,16 +48,6 @@ class SimulatedEnd(SimulatedThread):
         super().__init__(timeline, LinkQueue(session, timeline.now_s, together=small.publish))
         self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self.other: SimulatedEnd = self
-
-    @property
-    def link_bytes(self) -> int:
-        """What both ends' chunks took of the link."""
-        return self._queue.link_bytes
-
-    @property
-    def held_s(self) -> float:
-        """Time in which something waited for receipts (s)."""
-        return self._queue.held_s
 
     def start(self, other: SimulatedEnd) -> None:
         """Begin to speak with the other end."""
@@ -73,7 +60,7 @@ class SimulatedEnd(SimulatedThread):
 
     def arrived(self, sample: bytes, *, is_together: bool = False) -> Chunk:
         """Account for a chunk of the other end."""
-        chunk, _ = self._queue.arrived(sample, self.timeline.now_s, is_together=is_together)
+        chunk, _ = self.queue.arrived(sample, self.timeline.now_s, is_together=is_together)
         self.run()
         return chunk
 
@@ -84,22 +71,22 @@ class SimulatedEnd(SimulatedThread):
 
     def hear(self, sign: bytes) -> None:
         """Take a sign of life of the other end."""
-        self._queue.follow(self._queue.hear(sign, self.timeline.now_s), self.timeline.now_s)
+        self.queue.follow(self.queue.hear(sign, self.timeline.now_s), self.timeline.now_s)
         self.run()
 
     def run(self) -> None:
         """Write what may leave, signs of life first."""
         now_s = self.timeline.now_s
         while True:
-            if (sign := self._queue.take_sign(now_s)) is not None:
+            if (sign := self.queue.take_sign(now_s)) is not None:
                 wire_bytes, packets = wire_size(16 + SIGN_BYTES, rate_hz=math.inf)
                 self._there.send(wire_bytes, packets, partial(self.other.hear, sign))
-            elif (ready := self._queue.take(now_s)) is not None:
+            elif (ready := self.queue.take(now_s)) is not None:
                 ready.lane.write(ready.sample)
             else:
                 break
-        self._queue.note_held(now_s)
-        self._alarm.set_by(min(self._queue.sign_s, self._queue.due_s(now_s)))
+        self.queue.note_held(now_s)
+        self._alarm.set_by(min(self.queue.sign_s, self.queue.due_s(now_s)))
 
 
 class SimulatedLinkTopic(SimulatedSource):
@@ -139,7 +126,7 @@ class SimulatedLinkTopic(SimulatedSource):
     def state(self) -> PublisherState:
         """Return the state to announce."""
         flow = self._lane.state(self.timeline.now_s)
-        return self.told(replace(flow, blocked_s=self._end.held_s))
+        return self.told(replace(flow, blocked_s=self._end.queue.held_s))
 
     def result(self) -> TopicResult:
         """Return the result of the run."""

@@ -8,13 +8,12 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.sim.schedule import Service
+from arpd.sim.schedule import LossStep, RateSchedule, Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
 
-    from arpd.sim.schedule import LossStep, RateSchedule
     from arpd.sim.timeline import Timeline
 
 FRAME_BYTES = 1514  # on the wire, of a full packet

@@ -28,13 +28,10 @@ class Oracle:
     truth : returns the true state of the link
     """
 
+    has_evidence = True
+
     def __init__(self, truth: Callable[[], LinkEstimate]) -> None:
         self._truth = truth
-
-    @property
-    def has_evidence(self) -> bool:
-        """True from the start."""
-        return True
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Return the truth, and what one large message explains of a queue."""

@@ -6,12 +6,11 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import Direction
+from arpd.model.endpoints import Direction, FlowState
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from arpd.model.endpoints import FlowState
     from arpd.sim.timeline import Timeline
 
 SAMPLE = struct.Struct("<qd")  # sequence number, source stamp (s)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.queue import PacedQueue
-from arpd.model.endpoints import Direction, Overflow, PublisherState, WriterQos
-from arpd.sim.result import SAMPLE, Arrivals, SimTopic
-from arpd.sim.socket import Socket
-from arpd.sim.timeline import Alarm
+from arpd.model.endpoints import Direction, FlowState, Overflow, PublisherState, WriterQos
+from arpd.sim.result import SAMPLE, Arrivals, SimTopic, TopicResult
+from arpd.sim.socket import Carrier, Socket
+from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.writer import SimulatedWriter
 from arpd.solve.topics import assumed_traffic
 
@@ -20,13 +20,9 @@ if TYPE_CHECKING:
     from random import Random
 
     from arpd.endpoint.lane import Lane
-    from arpd.model.endpoints import FlowState
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.model.settings import Settings
-    from arpd.sim.result import TopicResult
-    from arpd.sim.socket import Carrier
-    from arpd.sim.timeline import Timeline
 
 RCLPY_DEPTH = 10  # the depth in every rclpy tutorial
 
@@ -59,29 +55,29 @@ class SimulatedThread:
 
     def __init__(self, timeline: Timeline, queue: PacedQueue | None = None) -> None:
         self.timeline = timeline
-        self._queue = PacedQueue() if queue is None else queue
+        self.queue = PacedQueue() if queue is None else queue
         self._alarm = Alarm(timeline, self.run)
 
     def add(self, lane: Lane) -> None:
         """Serve a lane from now on."""
-        self._queue.add(lane)
+        self.queue.add(lane)
 
     def offer(self, lane: Lane, sample: bytes) -> None:
         """Let a sample wait for its turn, which may be now."""
-        self._queue.offer(lane, sample, self.timeline.now_s)
+        self.queue.offer(lane, sample, self.timeline.now_s)
         self.run()
 
     def retune(self, lane: Lane, plan: TopicPlan, price: Price | None) -> None:
         """Give a lane its plan and the price; None = no daemon is there."""
-        self._queue.retune(lane, plan, price)
+        self.queue.retune(lane, plan, price)
         self.run()
 
     def run(self) -> None:
         """Write what may leave."""
         now_s = self.timeline.now_s
-        while (ready := self._queue.take(now_s)) is not None:
+        while (ready := self.queue.take(now_s)) is not None:
             ready.lane.write(ready.sample)
-        self._alarm.set_by(self._queue.due_s(now_s))
+        self._alarm.set_by(self.queue.due_s(now_s))
 
 
 class SimulatedSource:

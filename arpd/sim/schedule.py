@@ -6,12 +6,9 @@ import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Self
 
 from arpd.model.quantities import RATE
-
-if TYPE_CHECKING:
-    from typing import Self
 
 
 class RateStep(NamedTuple):

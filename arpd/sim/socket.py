@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from arpd.sim.link import Loopback, SimulatedLink
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.sim.link import Loopback, SimulatedLink
     from arpd.sim.timeline import Timeline
 
-    Carrier = SimulatedLink | Loopback  # one direction of a link, or the way within a host
-
+Carrier = SimulatedLink | Loopback  # one direction of a link, or the way within a host
 #: Most that one socket has in the interface's queue: Linux counts 2.3 kB for a packet of 1.4 (net.core.wmem_default).
 SOCKET_BYTES = 130_000
 # Packets that are lost or arrive together: fewer would only make more events.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -13,7 +13,6 @@ from arpd.model.errors import TraceError
 from arpd.sim.schedule import LossStep, RateSchedule, RateStep
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 _COLUMNS = ("time_s", "rate_bit_per_s", "loss")

@@ -8,29 +8,26 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.estimate.receiver import Receiver
-from arpd.model.endpoints import Direction
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState, Observation
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.nodes import SILENT_S
 from arpd.ros.peer_reports import FORGOTTEN_S
-from arpd.sim.link import FRAME_BYTES, Loopback
-from arpd.sim.timeline import Alarm
+from arpd.sim.link import FRAME_BYTES, CrossFlow, Loopback, SimulatedLink
+from arpd.sim.timeline import Alarm, Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from random import Random
 
-    from arpd.model.endpoints import PublisherState
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import PeerReport, ProbeRequest
     from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
-    from arpd.sim.link import CrossFlow, SimulatedLink
     from arpd.sim.robot import SimulatedPublisher
     from arpd.sim.socket import Carrier
-    from arpd.sim.timeline import Timeline
 
     Managed = SimulatedPublisher | SimulatedLinkTopic
 
@@ -213,7 +210,7 @@ class SimulatedWorld:
 
     def _summarise(self) -> None:
         if self._end is not None:
-            self._relay = RelaySummary(other_host="base", is_reachable=True, link_bytes=self._end.link_bytes)
+            self._relay = RelaySummary(other_host="base", is_reachable=True, link_bytes=self._end.queue.link_bytes)
 
     # -- on the peer
 

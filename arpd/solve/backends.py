@@ -13,13 +13,12 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arpd.model.settings import Backend
-from arpd.solve.level import TOLERANCE, residual, water_level
+from arpd.solve.level import TOLERANCE, Column, residual, water_level
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.solve.eq4 import Eq4Problem
-    from arpd.solve.level import Column
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")

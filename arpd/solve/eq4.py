@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from arpd.model.allocation import Binding, Uniform
-from arpd.model.plan import NANOSECONDS_PER_SECOND
+from arpd.model.plan import NANOSECONDS_PER_SECOND, TopicPlan, rate_of
 from arpd.solve.level import TOLERANCE, Yielding, left, water_level
-from arpd.solve.link import NO_CAPACITY, Division, Link
+from arpd.solve.link import NO_CAPACITY, Division, Find, Link, Rows
 
 if TYPE_CHECKING:
-    from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
-    from arpd.solve.link import Find, Rows
 
 # DDS counts whole seconds in 32 bits (DDS 1.4 §2.3.2, Duration_t); a slower topic counts as paused.
 LONGEST_PERIOD_NS = (2**31 - 1) * NANOSECONDS_PER_SECOND
@@ -158,11 +156,6 @@ def period_ns(rate_hz: float) -> int:
     if rate_hz <= NANOSECONDS_PER_SECOND / (LONGEST_PERIOD_NS + 1):
         return 0
     return math.ceil(NANOSECONDS_PER_SECOND / rate_hz * (1.0 - _NOISE))
-
-
-def rate_of(period: int) -> float:
-    """Return the rate of a whole period in ns (Hz); 0 for a paused topic."""
-    return NANOSECONDS_PER_SECOND / period if period else 0.0
 
 
 def whole(amount: float) -> int:

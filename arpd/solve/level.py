@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Column = NDArray[np.float64]
-
+Column = np.ndarray[Any, np.dtype[np.float64]]
 #: Part of a budget by which a sum may miss it.
 TOLERANCE = 1e-6
 

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from arpd.model.allocation import Binding
+from arpd.model.allocation import Binding, Topic, Uniform
 from arpd.model.price import Price
-from arpd.solve.level import TOLERANCE, Yielding, water_level, yielding
+from arpd.solve.level import TOLERANCE, Column, Yielding, water_level, yielding
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from arpd.model.allocation import Topic, Uniform
-    from arpd.solve.level import Column
-
-    #: Returns ν for weights, low, high and budget.
-    Find = Callable[[Column, Column, Column, float], float]
-
+#: Returns ν for weights, low, high and budget.
+Find = Callable[[Column, Column, Column, float], float]
 _LEAST_SHARE = 1e-6
 NO_CAPACITY = "the link has no capacity: every topic is paused"
 

@@ -8,21 +8,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from arpd.model.allocation import Allocation, AllocationStatus, Binding, TopicAllocation
-from arpd.model.settings import Backend, Policy
+from arpd.model.allocation import Allocation, AllocationStatus, Binding, Topic, TopicAllocation
+from arpd.model.settings import Backend, Policy, Settings
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import AlikeOnLink, period_ns, whole
-from arpd.solve.level import water_level
-from arpd.solve.link import Link, Rows
+from arpd.solve.level import Column, water_level
+from arpd.solve.link import Division, Find, Link, Rows
 
 if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Callable, Sequence
-
-    from arpd.model.allocation import Topic
-    from arpd.model.settings import Settings
-    from arpd.solve.level import Column
-    from arpd.solve.link import Division, Find
 
 
 class Program:

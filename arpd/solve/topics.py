@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Topic
-from arpd.model.endpoints import Direction
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.endpoints import PublisherState
     from arpd.model.observation import MemoryState
     from arpd.model.settings import ProgramSettings, Settings
 

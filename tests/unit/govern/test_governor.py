@@ -3,21 +3,18 @@
 import math
 from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from arpd.govern.governor import Governor
-from arpd.model.allocation import Topic
+from arpd.model.allocation import Decision, Topic
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import Backend, GovernorSettings, Settings
 from arpd.model.wire import swap_bytes
 from arpd.solve.program import Program
 from tests.sample_publishers import publisher
-
-if TYPE_CHECKING:
-    from arpd.model.allocation import Decision
 
 MEMORY = 64 * 2.0**20
 GOVERNOR = GovernorSettings()

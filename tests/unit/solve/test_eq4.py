@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from arpd.model.plan import rate_of
 from arpd.model.settings import Backend
 from arpd.solve.backends import Solver
-from arpd.solve.eq4 import Eq4Problem, period_ns, rate_of, whole
+from arpd.solve.eq4 import Eq4Problem, period_ns, whole
 from tests.examples import examples
 
 TABLE_2 = [

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.allocation import AllocationStatus, Binding, Topic
+from arpd.model.plan import rate_of
 from arpd.model.settings import Backend, LinkSettings, ProgramSettings, Settings
 from arpd.solve import osqp_
-from arpd.solve.eq4 import Eq4Problem, rate_of
+from arpd.solve.eq4 import Eq4Problem
 from arpd.solve.program import Program
 from tests.examples import examples
 
