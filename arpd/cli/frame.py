@@ -183,7 +183,6 @@ def _traffic(status: Status) -> str:
 
 
 def _program(status: Status) -> str:
-    """Say how the program was solved, and what is left of the memory that its depths take."""
     solved, memory = status.allocation, status.memory
     said = f"{solved.status}, bound by {solved.binding.replace('_', ' ')}"
     left = f"{format_size(memory.available_bytes)} of {format_size(memory.total_bytes)} memory available"
@@ -264,7 +263,6 @@ def _moving(topic: Topic, show: Callable[[PublisherState | TopicPlan], str]) -> 
 
 
 def _withheld(topic: Topic) -> str:
-    """Show the share of offered messages that the publisher has withheld since it began."""
     withheld, offered = topic.confirmed.withheld, topic.confirmed.offered
     return format_share(withheld / offered) if offered else str(withheld)
 

@@ -202,7 +202,6 @@ def _course(moments: Sequence[Moment]) -> Mapping[str, tuple[Any, ...]]:
 
 
 def _overall(summaries: Mapping[Way, Summary]) -> Sequence[Sequence[str]]:
-    """Return the ways side by side, from the end of the warm-up on."""
     best = summaries[Way.ORACLE].goodput_bytes_per_second
     rows: dict[str, Callable[[Summary], float | None]] = {
         "delivered, Mbit/s": lambda way: way.goodput_bytes_per_second / _MBIT,
@@ -237,7 +236,6 @@ def _topics(robot: Sequence[SimTopic], ways: Comparison, figures: Figures) -> Ta
 
 
 def _show_events(moments: Sequence[Moment]) -> None:
-    """Print the plans, and the begin and end of each outage as arpd saw it."""
     rows = [["", "EVENT", "BUDGET"]]
     for before, moment in pairwise(moments):
         at_s, is_out = f"{moment.t_s:.1f} s", moment.state is LinkState.OUTAGE

@@ -200,7 +200,6 @@ def _plan(capacity: float, settings: Settings, traffic: Sequence[Traffic]) -> Do
 
 
 def _show(plan: Document) -> None:
-    """Print what each topic asks for and gets at one capacity, and what binds it."""
     answer, rows = plan["allocation"], plan["topics"]
     used, budget = format_size(plan["memory_bytes"]), format_size(plan["memory_budget_bytes"])
     share, capacity = format_share(plan["headroom"]), format_rate(plan["capacity_bytes_per_second"])

@@ -172,7 +172,6 @@ def _table(topics: Sequence[LinkTopic]) -> Table:
 
 
 def _summary(found: TopicList) -> list[str]:
-    """Say what the topics publish together, and what to do next."""
     measured = [topic for topic in found.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
     unknown = len(found.topics) - len(measured)
@@ -208,7 +207,6 @@ def _cells(topic: LinkTopic) -> list[str]:
 
 
 def _way(topic: LinkTopic) -> str:
-    """Say in which direction a topic crosses the link, or could."""
     is_out, is_in = bool(topic.writers), bool(topic.far_writers) or not topic.writers
     way = "both" if is_out and is_in else "out" if is_out else "in"
     return f"{way}, now" if topic.is_crossing else way

@@ -205,7 +205,6 @@ class _Run:
         )
 
     def _govern(self) -> None:
-        """Let arpd manage the publishers."""
         scenario, clock = self._scenario, self._timeline
         ticked_s = clock.now_s
 
@@ -297,7 +296,6 @@ class _Run:
             self._moments.append(moment)
 
     def _shown(self) -> dict[str, Any]:
-        """Return what a moment has of the daemon."""
         if not self._is_managed or (snapshot := self._daemon.snapshot) is None:
             return {}
         cause, self._causes = ", ".join(self._causes), []

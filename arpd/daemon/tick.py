@@ -202,7 +202,6 @@ class Daemon:
         self._planned = Planned(topics, allocation, replace(decision, reason=""), shown)
 
     def _of_now(self, topics: Sequence[Topic], seen: Observation, link: LinkEstimate, budget: float) -> Link:
-        """Return the rows on the link of this moment."""
         return self._program.on_link(
             link.available_bytes_per_second,
             topics,
@@ -313,7 +312,6 @@ class Daemon:
 
 
 def _crossing(seen: Observation) -> int:
-    """Return the number of topics that cross the link, managed or not."""
     return seen.sensing_topics + seen.actuation_topics
 
 

@@ -53,14 +53,13 @@ def diagnose(snapshot: Snapshot | None, *, now_s: float) -> tuple[Status, ...]:
         for each in reversed(snapshot.events[-_MOST_EVENTS:])
     }
     facts = (_of_link(snapshot), _of_plan(snapshot, situation), _of_configuration(snapshot), events)
-    judged = (_level(part, snapshot, situation, now_s=now_s) for part in _PARTS)
     return tuple(
-        Status(f"arpd: {part}", Level.STALE if stale else level, stale or message, values)
-        for part, (level, message), values in zip(_PARTS, judged, facts, strict=True)
+        Status(f"arpd: {part}", *((Level.STALE, stale) if stale else _level(part, snapshot, situation, now_s)), values)
+        for part, values in zip(_PARTS, facts, strict=True)
     )
 
 
-def _level(part: str, snapshot: Snapshot, situation: Situation, *, now_s: float) -> tuple[Level, str]:
+def _level(part: str, snapshot: Snapshot, situation: Situation, now_s: float) -> tuple[Level, str]:
     """Return level and message of a part: those of its most important finding, or else a fact."""
     if part == "events":  # the worst one within a minute sets the level
         recent = (_LEVEL_OF[each.severity] for each in snapshot.events if now_s - each.at_s < _RECENT_S)

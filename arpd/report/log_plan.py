@@ -112,7 +112,6 @@ def _is_cross_traffic(link: LinkEstimate, then: LinkEstimate) -> bool:
 
 
 def _changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> tuple[list[Change], list[Change]]:
-    """Return the depths and the deadlines that a new plan changes, one change for each topic."""
     depths: dict[str, Change] = {}
     deadlines: dict[str, Change] = {}
     for publisher in snapshot.observation.publishers:

@@ -108,7 +108,6 @@ def find(snapshot: Snapshot) -> tuple[Finding, ...]:
 
 
 def _since_s(snapshot: Snapshot, finding: Finding) -> float:
-    """Return since when it has held, by what was found before (s)."""
     before = (
         each.since_s for each in snapshot.found if (each.condition, each.about) == (finding.condition, finding.about)
     )

@@ -97,8 +97,6 @@ class _Nothing(_Guarded):
 
 
 class _Asset(_Guarded, StaticFileHandler):
-    """The page, its scripts and styles."""
-
     async def prepare(self) -> None:
         """Leave out ranges: they would be those of the compressed file."""
         await super().prepare()

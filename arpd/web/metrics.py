@@ -96,7 +96,6 @@ def _family(name: str, text: str, value: _Value) -> Metric:
 
 
 def _states(label: str, known: Iterable[str], current: str, **outer: str) -> _Rows:
-    """Return a row for each known state; 1 marks the current one."""
     return [({**outer, label: state}, state == current) for state in sorted({*map(str, known), str(current)})]
 
 
@@ -305,7 +304,6 @@ _WITHHELD = "Messages not sent, by cause: ceiling (rate), price, writer that blo
 
 
 def _of_topics(rows: tuple[Topic, ...]) -> Iterator[Metric]:
-    """Yield about twenty series for each publisher, in the order of the rows."""
     labelled = [({"topic": r.topic, "node": r.node, "direction": str(r.confirmed.direction)}, r) for r in rows]
     for name, (text, value_of) in _OF_TOPIC.items():
         found = ((labels, value_of(row)) for labels, row in labelled)
