@@ -43,7 +43,7 @@ class Flow(Generic[W]):
     Attributes
     ----------
     lane : its place in the queue, which the owner adds there
-    swap : has the writer by which samples leave, and its QoS
+    swap : has the writer by which samples leave, and its QoS; the lock guards it
     start : of a topic that nobody has planned yet
 
     Notes
@@ -69,7 +69,7 @@ class Flow(Generic[W]):
         self._swaps: Counter[str] = Counter()
         self.swap = WriterSwap(create=create, on_result=self._on_result, qos=qos, timing=timing)
         self._writer, self._awaits_silence = self.swap.current, False  # of the swap; only its steps change them
-        self._lock = lock  # guards the swap
+        self.lock = lock
         is_ordered = overflow is Overflow.QUEUE
         self.lane = Lane(
             self.write,
@@ -110,7 +110,7 @@ class Flow(Generic[W]):
 
     def request(self, qos: WriterQos) -> None:
         """Ask for a writer with this QoS, which a swap brings; the plan's rates are the queue's to give."""
-        with self._lock:
+        with self.lock:
             self.swap.request(qos)
 
     def service(self, now_s: float) -> float:
@@ -139,7 +139,7 @@ class Flow(Generic[W]):
         lane = self.lane.state(self._clock())
         withheld = Counter(lane.withheld_by_cause) + self._withheld
         waiting = len(self._held) + len(self.start.waiting)
-        with self._lock:
+        with self.lock:
             return replace(
                 lane,
                 published=lane.published - self._withheld.total() - waiting,
@@ -163,12 +163,12 @@ class Flow(Generic[W]):
 
     def close(self) -> None:
         """Withhold the samples that wait behind the queue, and destroy every writer."""
-        with self._lock:
+        with self.lock:
             self._withheld[WithheldCause.CLOSED.value] += len(self.rest())
             self.swap.close()
 
     def _has_arrived(self) -> bool:
-        with self._lock:
+        with self.lock:
             return self.swap.is_acknowledged()
 
     def _begin(self) -> None:
@@ -183,12 +183,12 @@ class Flow(Generic[W]):
             self._withheld[WithheldCause.FAILED.value] += 1  # it has left the queue and reached no reader
             raise
         if self._awaits_silence:
-            with self._lock:
+            with self.lock:
                 self.swap.wrote(self._clock())
 
     def _step(self, now_s: float) -> None:
         """Move a swap on as far as its writers allow."""
-        with self._lock:
+        with self.lock:
             before, price = self._writer, self.lane.price
             self.swap.loss_ratio = None if price is None else price.loss_ratio
             try:

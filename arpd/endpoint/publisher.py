@@ -192,6 +192,12 @@ class AdaptivePublisher:
             time.sleep(_POLL_S)
         return is_done
 
+    def assert_liveliness(self) -> None:
+        """Assert that it is alive, by all its writers: a reader takes one that a swap retires for dead otherwise."""
+        with self._flow.lock:
+            for writer in self._flow.swap.writers:
+                writer.publisher.assert_liveliness()
+
     def finish(self) -> None:
         """Write what waits: at its end a plain publisher has written all, for example a robot's command to stop."""
         rest = self._thread.rest_of(self._flow.lane)

@@ -48,8 +48,8 @@ class SwapTiming:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Draining:
-    writer: Writer
+class _Draining(Generic[W]):
+    writer: W
     qos: WriterQos
     since_s: float
 
@@ -108,7 +108,7 @@ class WriterSwap(Generic[W]):
         self._trial = 0  # samples that left by the new writer before it proved that they arrive
         self._is_proven = False
         self._is_doubted = False
-        self._draining: list[_Draining] = []
+        self._draining: list[_Draining[W]] = []
         self._is_closed = False
         self.begun = 0
         self.last: SwapRecord | None = None
@@ -124,6 +124,11 @@ class WriterSwap(Generic[W]):
             assert self._next is not None
             return self._next
         return self._current
+
+    @property
+    def writers(self) -> list[W]:
+        """All that live."""
+        return [*filter(None, (self._current, self._next)), *(old.writer for old in self._draining)]
 
     @property
     def qos(self) -> WriterQos:
@@ -189,8 +194,7 @@ class WriterSwap(Generic[W]):
 
     def is_acknowledged(self) -> bool:
         """Return whether no reader waits for a sample of any writer."""
-        writers = [self._current, self._next, *(old.writer for old in self._draining)]
-        return all(writer is None or _is_served(writer) for writer in writers)
+        return all(map(_is_served, self.writers))
 
     def close(self) -> None:
         """Destroy every writer, even when one of them raises; nothing happens after that."""

@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -69,6 +70,17 @@ def test_a_reader_that_would_be_lost_undoes_the_swap(ros, eventually):
     assert publisher.state().deadline_ns == 100_000_000
     publisher.publish(String(data="still there"))
     eventually("the reader still receives", lambda: received)
+
+
+def test_a_writer_that_a_swap_retires_is_no_dead_one(ros, eventually):
+    """Who asserts that it is alive does so with each of its writers: a reader watches them all."""
+    publisher, asserted = AdaptivePublisher(ros.node("talker"), String, TOPIC, 10), []
+    retune(publisher, depth=17)
+    eventually("there are two writers", lambda: len(publisher._flow.swap.writers) == 2)
+    for number, writer in enumerate(publisher._flow.swap.writers):
+        writer.publisher.assert_liveliness = partial(asserted.append, number)
+    publisher.assert_liveliness()
+    assert asserted == [0, 1]
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,8 @@ class GhostWriter:
         is_reachable : whether the original's end is: what it said of the original does not hold any longer otherwise
         """
         if self.offer.is_alive and is_reachable:
-            self._swap.current.publisher.assert_liveliness()
+            for writer in self._swap.writers:
+                writer.publisher.assert_liveliness()
         if self._swap.is_busy:
             self._swap.step(time.monotonic())
         self._release(_PER_STEP)
