@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import Direction
 from arpd.model.names import is_internal
-from arpd.ros.names import LEAST_DEADLINE_NS, PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name
+from arpd.ros.names import LEAST_DEADLINE_NS, PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name, off_link
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -86,14 +86,14 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     Topics in ``first`` are read first, in case there are too many.
     """
     robot_host = view.own.host if rmw.tells_hosts else None
-    names = [topic for topic in view.types if not is_internal(topic) and is_full_name(topic)]
+    names = {off_link(name): name for name in view.types if is_full_name(name) and not is_internal(off_link(name))}
     topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
     hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
     crossings = {
         topic: crossing(
             # The daemon's own writer of /diagnostics is no traffic of the robot.
-            writers=[writer for writer in view.writers(topic) if writer.node != view.own.node],
-            readers=view.readers(topic),
+            writers=[writer for writer in view.writers(names[topic]) if writer.node != view.own.node],
+            readers=view.readers(names[topic]),
             robot_host=robot_host,
         )
         for topic in topics

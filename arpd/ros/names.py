@@ -12,6 +12,11 @@ PRICE_TOPIC = "/arpd/price"
 PROBE_TOPIC = "/arpd/probe"
 REPORT_TOPIC = "/arpd/peer/report"
 
+# Topics of a relay's two ends have names of their own on the link. All endpoints of one topic name in a process take
+# their samples from one pool, whatever their domain (Fast DDS 2.14, TopicPayloadPoolRegistry), and a buffer never
+# shrinks: beside a map of 4 MB each buffer for a chunk of it grew to 4 MB, up to `LINK_DEPTH` of them.
+_ON_LINK = "/arpd/link"
+
 INFINITE_NS = 2**63 - 1  # ROS 2's "no deadline"
 # No topic that crosses a link is faster than 100 kHz. The timer of a deadline much shorter than the source's period
 # takes a tenth of a core (measured from 1 ms down, Fast DDS).
@@ -24,6 +29,16 @@ _FULL_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 def is_arpds(node: str) -> bool:
     """Return whether a node, by its full name, is one of arpd's processes."""
     return node.startswith("/arpd")
+
+
+def on_link(topic: str) -> str:
+    """Return the name in the link's domain of a topic that a relay with two ends carries."""
+    return _ON_LINK + topic
+
+
+def off_link(name: str) -> str:
+    """Return the topic of a name in the link's domain; other names stay as they are."""
+    return name.removeprefix(_ON_LINK)
 
 
 def checked_full_name(name: str) -> str:

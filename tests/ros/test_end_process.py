@@ -1,11 +1,13 @@
 """The process of one end: its watchdog, its stop, and what it refuses."""
 
+import array
 import signal
 from types import SimpleNamespace
 from typing import ClassVar
 
+import psutil
 import pytest
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 from test_msgs.srv import BasicTypes
 
 from arpd.relay.main import check_deaf_to_itself
@@ -48,6 +50,24 @@ def test_ends_that_start_at_once_on_one_host_do_not_take_each_other_for_themselv
     """The far ends of several robots have the name of their host, and start together when it boots."""
     for _end in range(3):
         check_deaf_to_itself(Named())
+
+
+def test_large_samples_that_have_crossed_leave_no_memory_behind(world, eventually):
+    """Sixty samples of 2 MB add less than eight of them to the memory of either end, after the first few."""
+    ends = world().start()
+    writer, heard, sizes = ends.side("robot").node("map").create_publisher(UInt8MultiArray, "/map", 10), [], []
+    ends.side("base").node("planner").create_subscription(UInt8MultiArray, "/map", lambda _map: heard.append(1), 10)
+    sample = UInt8MultiArray(data=array.array("B", bytes(2_000_000)))
+
+    def has_heard(samples):
+        if len(heard) < samples:
+            writer.publish(sample)
+        return len(heard) >= samples
+
+    for samples in (10, 70):
+        eventually(f"{samples} samples have crossed", lambda samples=samples: has_heard(samples))
+        sizes.append([psutil.Process(end.pid).memory_info().rss for end in ends.processes.values()])
+    assert all(after - before < 16e6 for before, after in zip(*sizes, strict=True)), sizes
 
 
 def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fault(

@@ -14,6 +14,7 @@ from std_msgs.msg import Float64, String, UInt8MultiArray
 from arpd.model.plan import TopicPlan
 from arpd.relay.ends.offers import VERSION, ServiceOffer, TopicOffer, WriterOffer, decode_state
 from arpd.relay.envelope import Record, pack, writer_key
+from arpd.ros.names import on_link
 from tests.ros.ends_world import (
     BEST_EFFORT,
     RELIABLE,
@@ -258,8 +259,8 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
     still, other = Counter(node, String, "/map", latched(1)), Counter(node, String, "/other", RELIABLE)
     still.publish()
     dead, living = ends.side("link").node("dead"), ends.side("link").node("living")
-    listen(dead, "/map", RELIABLE, UInt8MultiArray)
-    listen(living, "/other", RELIABLE, UInt8MultiArray)
+    listen(dead, on_link("/map"), RELIABLE, UInt8MultiArray)
+    listen(living, on_link("/other"), RELIABLE, UInt8MultiArray)
     heard = listen(living, "/arpd/relay/robot/small", RELIABLE, UInt8MultiArray)
     end = Stranger(living, wants=frozenset({"/map", "/other"}))
 
@@ -268,10 +269,10 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
         other.publish()
         return condition()
 
-    eventually("the end writes the topic", lambda: lives(lambda: dead.count_publishers("/map") == 1))
+    eventually("the end writes the topic", lambda: lives(lambda: dead.count_publishers(on_link("/map")) == 1))
     eventually("what the living process reads crosses", lambda: lives(lambda: heard))
     assert still.publisher.get_subscription_count() == 0
-    received = listen(living, "/map", RELIABLE, UInt8MultiArray)
+    received = listen(living, on_link("/map"), RELIABLE, UInt8MultiArray)
     eventually("the living reader gets the map", lambda: lives(lambda: len(received) == 1))
 
 
@@ -308,7 +309,7 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
         for name, lifespan_ns in lifespans_ns.items()
     }
     stranger = Stranger(ends.side("link").node("stranger"), topics=topics)
-    writers = {name: stranger.node.create_publisher(UInt8MultiArray, name, RELIABLE) for name in topics}
+    writers = {name: stranger.node.create_publisher(UInt8MultiArray, on_link(name), RELIABLE) for name in topics}
     heard, samples = {name: listen(robot, name) for name in topics}, count(1)
 
     def send(text, late_s):

@@ -17,6 +17,7 @@ from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
+from arpd.ros.names import checked_full_name, on_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -105,6 +106,7 @@ class Incoming:
                     ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)
             for name, kind in kinds.items():
                 try:
+                    checked_full_name(on_link(offers[name].link_name))
                     for writer in offers[name].writers:
                         self._follow(name, offers[name], writer, kind)
                 except (NameValidationException, RuntimeError, ValueError) as fault:
@@ -132,7 +134,7 @@ class Incoming:
         self._nodes.tidy()
         links = {ghost.offer.link_name for ghost in read}
         for name in links - self._readers.keys():
-            self._readers[name] = self._reader(name, deliver=self.deliver)
+            self._readers[name] = self._reader(on_link(name), deliver=self.deliver)
         for name in self._readers.keys() - links:
             self._readers.pop(name).destroy()
         self.wants = frozenset(ghost.topic for ghost in read)

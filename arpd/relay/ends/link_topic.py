@@ -20,6 +20,7 @@ from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
 from arpd.ros.graph import type_name_of
 from arpd.ros.graph_view import GraphView
+from arpd.ros.names import on_link
 from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
@@ -68,9 +69,9 @@ class LinkTopic(Carried):
         self._node, self._thread = node, thread
         self._view = GraphView.of(node)
         self._publisher = node.create_publisher(
-            UInt8MultiArray, topic, QoSProfile(depth=LINK_DEPTH), event_callbacks=NO_EVENTS
+            UInt8MultiArray, on_link(topic), QoSProfile(depth=LINK_DEPTH), event_callbacks=NO_EVENTS
         )
-        self.topic_name = str(self._publisher.topic_name)
+        self.topic_name = topic
         asked = settings.depths.get(topic)
         depth = asked or DEFAULT_RELAY_DEPTH
         lane: dict[str, Any] = {"has_company": not members}  # a set of a group leaves alone: it is seldom small
@@ -93,9 +94,8 @@ class LinkTopic(Carried):
         if not self._publisher.get_subscription_count():
             return False
         self._view.look()
-        return any(
-            reader.gid.hex().startswith(self._thread.partner_gids) for reader in self._view.readers(self.topic_name)
-        )
+        readers = self._view.readers(on_link(self.topic_name))
+        return any(reader.gid.hex().startswith(self._thread.partner_gids) for reader in readers)
 
     def check(self, kind: Any) -> None:
         """Raise ValueError where samples of this message class cannot be sent on."""
