@@ -34,12 +34,10 @@ FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
-_WHOLE_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"  # else rmw_fastrtps sets what fastdds-two-ended.xml says of memory
 _RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
-_OF_LINK = {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
 _UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
 # Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), which returns XML_OK, and get_instance() of
@@ -88,7 +86,7 @@ def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ) ->
     With UDP alone the range is no longer LOCALHOST, in which rmw_fastrtps adds shared memory, but the profile's own,
     which is the same. Only in LOCALHOST and SUBNET it takes ROS_STATIC_PEERS, so they are written into the profile.
     """
-    is_ours = environment.get(PROFILE_VARIABLES[0]) in _OF_LINK
+    is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
         profiles = [_GHOSTS_PROFILE.read_text()]
         has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
@@ -127,7 +125,7 @@ def _told_address(address: str | None, environment: MutableMapping[str, str] = o
     crossed twice. It still listens on every interface, so processes on this computer hear it without the link.
     """
     file = environment.get(PROFILE_VARIABLES[0], "")
-    if address is None or file not in _OF_LINK:
+    if address is None or file not in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}:
         yield
         return
     profile = Path(file).read_text()
@@ -262,8 +260,6 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
         return
     peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
     own = {_RANGE: "SUBNET", _PEERS: peers}
-    if environment.get(PROFILE_VARIABLES[0]) in _OF_LINK:
-        own[_WHOLE_PROFILE] = "1"
     before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
     environment.update(own)
     environment.pop(_SERVER, None)  # the robot's discovery server is in its own domain, and knows nothing of the link

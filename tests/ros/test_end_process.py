@@ -2,7 +2,6 @@
 
 import array
 import signal
-from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -97,24 +96,3 @@ def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fa
     assert [ends.end(end, signal.SIGTERM) for end in ("base", "robot")] == [0, 0]
     logs = [(tmp_path / f"{end}.log").read_text() for end in ("base", "robot")]
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
-
-
-def test_large_samples_leave_no_memory_behind(world, eventually):
-    """Their chunks on the link share no memory with them, of which each block would become as large as a sample."""
-    ends, heard = world().start(), []
-    writer = ends.side("robot").node("camera").create_publisher(UInt8MultiArray, "/picture", 10)
-    ends.side("base").node("viewer").create_subscription(UInt8MultiArray, "/picture", heard.append, 10)
-    picture = UInt8MultiArray(data=bytes(1_000_000))
-
-    def held_mb():
-        statuses = (Path(f"/proc/{process.pid}/status").read_text() for process in ends.processes.values())
-        return [int(status.partition("VmRSS:")[2].split()[0]) / 1e3 for status in statuses]
-
-    def arrive(number):
-        writer.publish(picture)
-        return len(heard) >= number
-
-    eventually("the first pictures arrive", lambda: arrive(10))
-    before = held_mb()
-    eventually("more arrive", lambda: arrive(60))
-    assert all(after < 20.0 + early for early, after in zip(before, held_mb(), strict=True))
