@@ -96,11 +96,6 @@ class ScenarioResult:
     topics: tuple[TopicResult, ...]
     moments: tuple[Moment, ...]
 
-    @property
-    def plans(self) -> tuple[Moment, ...]:
-        """Moments with a new plan."""
-        return tuple(moment for moment in self.moments if moment.cause)
-
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
