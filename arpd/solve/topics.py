@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Topic
 from arpd.model.endpoints import Direction, PublisherState
+from arpd.model.settings import Policy
 from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS, wire_size
 
 if TYPE_CHECKING:
@@ -77,12 +78,12 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
     preferences = settings.topic(traffic.topic)
     source_hz = traffic.source_rate_hz
     desired_hz = source_hz if preferences.max_rate_hz is None else min(source_hz, preferences.max_rate_hz)
-    # One picture of 0.9 MB a second is more than a link of 5 Mbit/s carries: nobody asked for that floor.
-    is_small = traffic.payload_bytes <= SMALL_PACKETS * FRAGMENT_BYTES
+    # One picture of 0.9 MB a second is more than a link of 5 Mbit/s carries: nobody asked for that floor. Eq. (4) does.
+    is_asked = traffic.payload_bytes <= SMALL_PACKETS * FRAGMENT_BYTES or settings.program.policy is Policy.UNIFORM
     own_hz, default_hz = preferences.min_rate_hz, settings.defaults.min_rate_hz
     desired_hz = desired_hz or (default_hz if own_hz is None else own_hz)
     # A floor never exceeds what the source publishes.
-    floor_hz = min((default_hz if is_small else 0.0) if own_hz is None else own_hz, desired_hz)
+    floor_hz = min((default_hz if is_asked else 0.0) if own_hz is None else own_hz, desired_hz)
     # At a lower rate fewer samples share a heartbeat; the headroom covers that.
     size, packets = wire_size(traffic.payload_bytes, rate_hz=desired_hz)
     return Topic(

@@ -4,7 +4,7 @@ import pytest
 
 from arpd.model.endpoints import Direction
 from arpd.model.observation import MemoryState
-from arpd.model.settings import DefaultPreferences, ProgramSettings, Settings, TopicSettings
+from arpd.model.settings import DefaultPreferences, Policy, ProgramSettings, Settings, TopicSettings
 from arpd.model.wire import wire_size
 from arpd.solve.topics import assumed_traffic, measured_traffic, memory_budget_bytes, rows_of_traffic
 from tests.sample_publishers import publisher
@@ -30,12 +30,14 @@ def test_a_row_has_the_cost_and_the_preferences_of_a_topic():
 
 
 def test_a_pattern_sets_weight_floor_and_cap_of_all_it_matches():
-    """Its floor holds for large samples, too; that of the defaults does not."""
+    """Its floor holds for large samples, too; that of the defaults does not, unless it is the Rmin of Eq. (4)."""
     pattern = TopicSettings(name="/camera/**", weight=3.0, min_rate_hz=2.0, max_rate_hz=5.0)
     large = [driver("/camera/left", payload_bytes=1e6), driver("/camera/right"), driver("/map", payload_bytes=1e6)]
     rows = rows_of_traffic(measured_traffic(large), Settings(topics=(pattern,)))
     expected = [(3.0, 2.0, 5.0), (3.0, 2.0, 5.0), (1.0, 0.0, 20.0)]
     assert [(row.weight, row.min_rate_hz, row.desired_rate_hz) for row in rows] == expected
+    uniform = Settings(program=ProgramSettings(policy=Policy.UNIFORM), topics=(pattern,))
+    assert {row.min_rate_hz for row in rows_of_traffic(measured_traffic(large), uniform)} == {1.0}
 
 
 def test_an_assumed_topic_makes_the_row_of_a_measured_one():
