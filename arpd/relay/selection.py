@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.names import compile_patterns, is_hidden, is_internal
@@ -17,7 +16,6 @@ _ACTION_TOPICS = frozenset({"feedback", "status"})
 _ACTION_SERVICES = frozenset({"send_goal", "cancel_goal", "get_result"})
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
 class Side:
     """The robot's side or the base computer's. On the link and in the configuration all names are those on the robot.
 
@@ -26,27 +24,11 @@ class Side:
     matches never crosses; for an action it is enough that `deny` matches the action.
     """
 
-    _namespace: str  # of the robot's names on this side
-    _leaving: re.Pattern[str]
-    _entering: re.Pattern[str]
-    _deny: re.Pattern[str]
-    _services: re.Pattern[str]
-    _actions: re.Pattern[str]
-
-    @classmethod
-    def of(cls, settings: RelaySettings, *, is_far: bool) -> Side:
-        """Return the robot's side, or the base computer's, which is far."""
-        leaving, entering = settings.to_base, settings.to_robot
-        if is_far:
-            leaving, entering = entering, leaving
-        return cls(
-            _namespace=settings.namespace if is_far else "",
-            _leaving=compile_patterns(leaving),
-            _entering=compile_patterns(entering),
-            _deny=compile_patterns(settings.deny),
-            _services=compile_patterns(settings.services),
-            _actions=compile_patterns(settings.actions),
-        )
+    def __init__(self, settings: RelaySettings, *, is_far: bool) -> None:
+        self._namespace = settings.namespace if is_far else ""  # of the robot's names on this side
+        chosen = settings.to_base, settings.to_robot, settings.deny, settings.services, settings.actions
+        to_base, to_robot, self._deny, self._services, self._actions = map(compile_patterns, chosen)
+        self._leaving, self._entering = (to_robot, to_base) if is_far else (to_base, to_robot)
 
     def local_name(self, name: str) -> str:
         """Return the name on this side of what has this name on the robot; an empty name stays empty."""

@@ -2,6 +2,8 @@
 
 import array
 import signal
+import time
+from contextlib import closing
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -10,7 +12,11 @@ import pytest
 from std_msgs.msg import String, UInt8MultiArray
 from test_msgs.srv import BasicTypes
 
+from arpd.model.settings import RelaySettings
+from arpd.relay.ends.end import End
 from arpd.relay.main import check_deaf_to_itself
+from arpd.ros.names import on_link
+from tests.ros.ends_world import LINK, RELIABLE, ROBOT, Counter, Stranger, latched, listen
 
 PROFILE = """<?xml version="1.0"?>
 <profiles xmlns="http://www.eprosima.com"><participant profile_name="own" is_default_profile="true"/></profiles>
@@ -96,3 +102,28 @@ def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fa
     assert [ends.end(end, signal.SIGTERM) for end in ("base", "robot")] == [0, 0]
     logs = [(tmp_path / f"{end}.log").read_text() for end in ("base", "robot")]
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
+
+
+def test_an_end_that_slept_sends_its_histories_again(ros, monkeypatch, eventually):
+    """The other end took that for an outage, and has forgotten what it got; late readers there would lack the map."""
+    monkeypatch.setattr("arpd.relay.partner._GONE_S", 1.0)
+    nodes = [ros.elsewhere(domain).idle_node("end") for domain in (ROBOT, LINK)]
+    still = Counter(ros.elsewhere(ROBOT).node("map_server"), String, "/map", latched(1))
+    still.publish()
+    other = ros.elsewhere(LINK).node("other")
+    heard = listen(other, on_link("/map"), RELIABLE, UInt8MultiArray)
+    settings = RelaySettings(link_domain=LINK, robot="127.0.0.1")
+    with closing(End(*nodes, settings, is_far=False, on_change=lambda _status: None)) as end:
+        stranger = Stranger(other, wants=frozenset({"/map"}))
+
+        def crosses(times):
+            stranger.live()
+            end.tick()
+            return len(heard) >= times
+
+        eventually("the map crosses", lambda: crosses(1))
+        before = len(heard)
+        time.sleep(1.2)
+        stranger.live()
+        time.sleep(0.2)  # what arrives meanwhile waits in the socket of an end that was stopped
+        eventually("it crosses again", lambda: crosses(before + 1))

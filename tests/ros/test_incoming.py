@@ -25,7 +25,7 @@ class World:
         self.incoming = Incoming(
             nodes=SimpleNamespace(give=lambda _name, _make: ghost, tidy=lambda: None),
             reader=lambda _topic, **_options: None,
-            side=Side.of(RelaySettings(), is_far=False),
+            side=Side(RelaySettings(), is_far=False),
             depths={},
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import platform
 import secrets
-import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
@@ -23,7 +22,7 @@ from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread
+from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread, lasting_s
 from arpd.relay.ends.link_topic import LinkTopic
 from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
@@ -79,7 +78,7 @@ class End:
     ) -> None:
         self._is_far, self._on_change = is_far, on_change
         self._link_node = link_node
-        self._side = Side.of(settings, is_far=is_far)
+        self._side = Side(settings, is_far=is_far)
         self._view, self._link_view = GraphView.of(node), GraphView.of(link_node)
         self._announced = AnnouncedParticipants(node.context.get_domain_id())
         self._is_shared = False  # whether both ends are in one domain
@@ -102,7 +101,7 @@ class End:
             local_gids=self._view.own.participant.hex(),
         )
         self._told = NOBODY  # this end's state, as the other one was told
-        self._begun_s = self._look_s = time.monotonic()
+        self._begun_s = self._look_s = lasting_s()
         self._status = ""  # as last told
         role, other = ("base", "robot") if is_far else ("robot", "base")
         states, small, signs, calls = (
@@ -179,16 +178,18 @@ class End:
 
     def tick(self) -> None:
         """Follow the graph and the other end; call it ten times a second."""
-        now_s = time.monotonic()
+        now_s = lasting_s()
+        # Before it hears what came since: while this computer slept, the other end has forgotten it.
+        was_there = self._partner.look(now_s)
         self._hear(now_s)
-        there, is_due = self._partner.look(now_s) or NOBODY, now_s >= self._look_s
+        there, is_due = (was_there and self._partner.look(now_s)) or NOBODY, now_s >= self._look_s
         if is_due:
             self._look_s = now_s + _LOOK_S
             self.outgoing.look()
             self._others = self._nodes_of_others()
         if is_due or there is not self._there:
             self._follow(there)
-        is_reachable = self._partner.is_reachable(now_s)
+        is_reachable = there is not NOBODY and self._partner.is_reachable(now_s)
         # Calls fail while the other end is unreachable; topics and the results of actions bridge an outage.
         services = {} if self._is_shared else self._there.services
         self._calls.offered = services, self._there.session if is_reachable and not self._is_shared else None

@@ -53,7 +53,9 @@ class LinkThread(WritingThread):
         sign: Callable[[bytes], None],
         together: Callable[[bytes], None],
     ) -> None:
-        self.queue = LinkQueue(session, time.monotonic(), together=together, asleep_s=_asleep_s)
+        self.queue = LinkQueue(
+            session, time.monotonic(), together=together, asleep_s=lambda: lasting_s() - time.monotonic()
+        )
         super().__init__(self.queue, name="arpd-link", warn=log.error)
         self._write_state, self._write_sign = state, sign
         self.partner_gids = ""
@@ -105,9 +107,9 @@ class LinkThread(WritingThread):
         return min(self.queue.sign_s, super()._due_s(now_s))
 
 
-def _asleep_s() -> float:
-    """Return how long this computer has slept since it started (s)."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+def lasting_s() -> float:
+    """Return the time of a clock that goes on while this computer sleeps (s)."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class LinkReader(RawReader):

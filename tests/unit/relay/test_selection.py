@@ -14,7 +14,7 @@ PARTS = {"feedback": "topic", "status": "topic", "send_goal": "call", "cancel_go
 
 
 def side(*, is_far=False, **settings):
-    return Side.of(RelaySettings(**settings), is_far=is_far)
+    return Side(RelaySettings(**settings), is_far=is_far)
 
 
 def answers(selection, name):
@@ -70,7 +70,7 @@ SETTINGS = st.builds(
 @given(SETTINGS, st.sampled_from(OWN))
 def test_nothing_of_ros_or_arpd_crosses(settings, name):
     """No pattern carries a topic of ROS or arpd itself."""
-    assert not any(answers(Side.of(settings, is_far=False), name))
+    assert not any(answers(Side(settings, is_far=False), name))
 
 
 @given(SETTINGS, NAME)
@@ -83,7 +83,7 @@ def test_what_is_denied_never_crosses(settings, name):
         actions=settings.actions,
         deny=(*settings.deny, name),
     )
-    assert not any(answers(Side.of(denied, is_far=False), name))
+    assert not any(answers(Side(denied, is_far=False), name))
 
 
 def test_names_outside_the_namespace_have_no_name_on_the_robot():

@@ -198,7 +198,7 @@ def end(monkeypatch):
         SimpleNamespace(give=lambda _name, make: make(node)),
         lambda data, _source: did.append(Record.decode(data).kind.name),
         session=1,
-        side=Side.of(RelaySettings(services=("/**",)), is_far=True),
+        side=Side(RelaySettings(services=("/**",)), is_far=True),
         timeout_s=10.0,
     )
     calls._session_there = SESSION
