@@ -32,7 +32,7 @@ _HEADERS = {
 _OF_STATUS = {
     HTTPStatus.METHOD_NOT_ALLOWED: {"Allow": "GET, HEAD"},
     HTTPStatus.UNAUTHORIZED: {"WWW-Authenticate": 'Basic realm="arpd", charset="UTF-8"'},
-    HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "1"},
+    HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "5"},
     HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
 }
 _METRICS = "text/plain; version=0.0.4; charset=utf-8"

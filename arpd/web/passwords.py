@@ -11,17 +11,16 @@ import base64
 import binascii
 import hashlib
 import hmac
-from collections import OrderedDict
 from enum import StrEnum
 from typing import TYPE_CHECKING
+
+from arpd.ros.rate_limits import RateLimit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 MAX_WAITING = 4  # requests in or before bcrypt; each counts against the connection limit
-MAX_CLIENTS = 256
-BURST = 5.0  # wrong passwords that a client may send at once …
-REFILL_HZ = 1.0  # … and then one a second
+MOST_WRONG, _PERIOD_S = 5, 5.0  # passwords that a client may send in this time
 _BCRYPT_BYTES = 72  # bcrypt reads no more; the library cuts the rest off before 5.0 and raises since
 
 
@@ -55,7 +54,7 @@ class Passwords:
         self._bcrypt = asyncio.Lock()
         self._waiting = 0
         self._good: dict[bytes, bytes] = {}
-        self._budgets: OrderedDict[str, tuple[float, float]] = OrderedDict()  # client → (wrong ones left, when)
+        self._guesses = RateLimit(MOST_WRONG, period_s=_PERIOD_S)
 
     async def judge(self, users: Mapping[bytes, bytes], authorization: bytes, client: str) -> PasswordVerdict:
         """Return the verdict on a request.
@@ -75,10 +74,10 @@ class Passwords:
         digest = self._digest(hashed, password)
         if known is not None and hmac.compare_digest(self._good.get(name, b""), digest):
             return PasswordVerdict.CACHED
-        if not self._take(client):
+        if not self._guesses.take(client, self._clock()):
             return PasswordVerdict.THROTTLED
         if self._waiting == MAX_WAITING:
-            self._give_back(client)
+            self._guesses.charge(client, -1)
             return PasswordVerdict.BUSY
         self._waiting += 1
         try:
@@ -88,7 +87,7 @@ class Passwords:
             self._waiting -= 1
         if not is_right or known is None:
             return PasswordVerdict.WRONG
-        self._give_back(client)
+        self._guesses.charge(client, -1)
         if len(self._good) > 2 * len(users):  # some names are no longer users
             self._good.clear()
         self._good[name] = digest
@@ -101,21 +100,6 @@ class Passwords:
         """Return the hash of some user, the same one each time for a name."""
         hashes = sorted(users.values())
         return hashes[int.from_bytes(self._digest(b"decoy", name)[:8]) % len(hashes)]
-
-    def _take(self, client: str) -> bool:
-        """Take one attempt from the client's budget, if there is one; forget the client that was silent longest."""
-        now_s = self._clock()
-        left, since_s = self._budgets.pop(client, (BURST, now_s))
-        left = min(BURST, left + (now_s - since_s) * REFILL_HZ)
-        is_allowed = left >= 1.0
-        self._budgets[client] = (left - 1.0 if is_allowed else left, now_s)
-        if len(self._budgets) > MAX_CLIENTS:
-            self._budgets.popitem(last=False)
-        return is_allowed
-
-    def _give_back(self, client: str) -> None:
-        left, since_s = self._budgets.get(client, (BURST, self._clock()))
-        self._budgets[client] = (min(BURST, left + 1.0), since_s)
 
 
 def _parse_basic(header: bytes) -> tuple[bytes, bytes] | None:

@@ -70,7 +70,7 @@ def test_every_path_asks_for_the_password(folder, caplog):
         assert world.count("arpd_http_requests_total", path="/", code="200") == 1
         while (answer := world.get(Authorization=WRONG)).status == 401:
             pass
-        assert (answer.status, answer.headers["Retry-After"]) == (429, "1")
+        assert (answer.status, answer.headers["Retry-After"]) == (429, "5")
         assert caplog.text.count("a wrong password from 127.0.0.1") == 1
         assert world.get(Authorization=LOGIN).status == 200
 
