@@ -328,7 +328,6 @@ class Estimator:
 
     @property
     def _burst_bytes(self) -> float:
-        """Bytes that may wait without being a queue."""
         return max(parameters.BURST_BYTES, parameters.BURST_SHARE * self._largest_bytes)
 
     @property

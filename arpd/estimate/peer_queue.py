@@ -119,7 +119,6 @@ class QueueGauge:
             self._note_outstanding(report, outstanding, silent_s=now_s - before_s)
 
     def _note_outstanding(self, report: PeerReport, outstanding: float, *, silent_s: float) -> None:
-        """Note the bytes that were handed over and have not arrived."""
         rate = report.rx_bytes / report.interval_s if report.interval_s > 0 else 0.0
         if report.delays_s and self.delay_s < parameters.QUEUE_LOW_S:
             self._in_flight.append((outstanding, max(1.0, rate)))

@@ -266,7 +266,6 @@ def _differ(before: float, now: float) -> bool:
 
 
 def _rows_in_force(publishers: Iterable[PublisherState]) -> dict[str, TopicPlan]:
-    """Return the rows that publishers announce."""
     return {
         each.topic: TopicPlan(
             rate_hz=each.rate_hz, min_rate_hz=0.0, deadline_ns=each.deadline_ns, depth=max(1, each.depth)

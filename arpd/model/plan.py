@@ -39,7 +39,6 @@ class TopicPlan:
     max_rate_hz: float = math.inf
 
     def __post_init__(self) -> None:
-        """Refuse nonsense at birth."""
         if math.isnan(self.rate_hz) or self.rate_hz < 0:
             raise ValueError(f"rate_hz {self.rate_hz!r} must be a number of at least 0")
         if self.depth < 0:

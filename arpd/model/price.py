@@ -39,7 +39,6 @@ class Price:
     is_stale: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse nonsense at birth."""
         if not self.share_per_weight >= 0.0:
             raise ValueError(f"share_per_weight {self.share_per_weight!r} must be a number of at least 0")
         if not 0.0 < self.capacity_bytes_per_second < math.inf:

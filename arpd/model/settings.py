@@ -165,7 +165,6 @@ class TopicGroup(Section):
     topics: Annotated[tuple[TopicName, ...], Field(min_length=2)]
 
     def __post_init__(self) -> None:
-        """Give it its name."""
         if not self.name and self.topics:
             object.__setattr__(self, "name", self.topics[0])
 

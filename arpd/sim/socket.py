@@ -100,17 +100,14 @@ class Socket:
                 if fits * first.packet_bytes > room and self._inside:
                     self.timeline.at(self._inside[0][0], self._go_on)
                     return
-            self._put(first, fits)
-
-    def _put(self, first: _Datagrams, packets: int) -> None:
-        size = packets * first.packet_bytes
-        left_s = self.carrier.send(size, packets, partial(first.arrived, packets))
-        self._inside.append((left_s, size))
-        self._inside_bytes += size
-        first.left -= packets
-        if not first.left:
-            self._waiting.popleft()
-            first.settled(left_s)
+            size = fits * first.packet_bytes
+            left_s = self.carrier.send(size, fits, partial(first.arrived, fits))
+            self._inside.append((left_s, size))
+            self._inside_bytes += size
+            first.left -= fits
+            if not first.left:
+                self._waiting.popleft()
+                first.settled(left_s)
 
     def _go_on(self) -> None:
         self._push()

@@ -90,7 +90,6 @@ class SimulatedWorld:
     ) -> None:
         self._timeline, self._random = timeline, random
         self._up, self._down, self._into_peer, self._has_peer = up, down, into_peer, has_peer
-        self._end = end
         self._relay: RelaySummary | None = None
         self._on_report_arrived = on_report
         self._reports: list[PeerReport] = []
@@ -103,7 +102,7 @@ class SimulatedWorld:
         of = {direction: [p for p in publishers if p.topic.direction is direction] for direction in Direction}
         if end is not None:
             of[Direction.LOCAL] = []
-            timeline.every(_TELL_S, self._summarise, first_s=self._soon_s())
+            timeline.every(_TELL_S, partial(self._summarise, end), first_s=self._soon_s())
         host = Loopback(timeline)
         self._nodes = (
             _Node(of[Direction.SENSING] + of[Direction.LOCAL], there=host, back=host),
@@ -117,7 +116,6 @@ class SimulatedWorld:
             self._report_alarm.set(self._receiver.due_s)
 
     def _soon_s(self) -> float:
-        """Return a moment in the next second."""
         return self._timeline.now_s + self._random.random()
 
     # -- observe
@@ -208,9 +206,8 @@ class SimulatedWorld:
         now_s = node.announced_at_s = self._timeline.now_s
         node.announced = tuple(replace(state, announced_at_s=now_s) for state in states)
 
-    def _summarise(self) -> None:
-        if self._end is not None:
-            self._relay = RelaySummary(other_host="base", is_reachable=True, link_bytes=self._end.queue.link_bytes)
+    def _summarise(self, end: SimulatedEnd) -> None:
+        self._relay = RelaySummary(other_host="base", is_reachable=True, link_bytes=end.queue.link_bytes)
 
     # -- on the peer
 

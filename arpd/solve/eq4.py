@@ -46,7 +46,6 @@ class Eq4Problem:
     max_depth: int = 5000
 
     def __post_init__(self) -> None:
-        """Refuse nonsense at birth."""
         for name, value in (("max_rate_hz", self.max_rate_hz), ("min_rate_hz", self.min_rate_hz)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} {value!r} must be a positive number (Hz)")
