@@ -72,7 +72,6 @@ def _fact(command: str, what: str, interface: str, read: Callable[[Sequence[Any]
 
 
 def _ask(command: str, index: int) -> list[Any]:
-    """Return nl80211's answers about an interface."""
     from pyroute2.iwutil import IW  # noqa: PLC0415 - takes a quarter of a second, and only a radio needs it
     from pyroute2.netlink import NLM_F_DUMP, NLM_F_REQUEST  # noqa: PLC0415
     from pyroute2.netlink.nl80211 import NL80211_NAMES, nl80211cmd  # noqa: PLC0415

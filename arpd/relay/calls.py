@@ -99,8 +99,6 @@ class CallId(NamedTuple):
 
 
 class _Waiting(NamedTuple):
-    """A call that waits for its outcome."""
-
     service: str
     request: bytes
     on_end: Callable[[Outcome], None]

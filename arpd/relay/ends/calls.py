@@ -124,7 +124,6 @@ class Calls:
     # -- calls of this side
 
     def _look(self) -> None:
-        """Follow the graph and the other end."""
         self._view.look()
         ours, servers = self._view.ours, {}
         for local in sorted(self._view.services):

@@ -201,7 +201,6 @@ class End:
             self._report(now_s)
 
     def _hear(self, now_s: float) -> None:
-        """Take what the other end has sent."""
         while self._arrived:
             arrived = self._arrived.popleft()
             if isinstance(arrived, int):
@@ -214,7 +213,6 @@ class End:
                 self._fault = str(fault)
 
     def _follow(self, state: EndState) -> None:
-        """Do what the newest state of the other end asks."""
         before, self._there = self._there, state
         self._is_shared = state.local_gids in {each.hex() for each in self._view.participants}
         if state.session != before.session:
@@ -254,7 +252,6 @@ class End:
         return ""
 
     def _tell(self) -> None:
-        """Send this end's state if it has changed."""
         state = self._new_state(
             topics=self.outgoing.offers,
             services=self._calls.offers,

@@ -82,18 +82,14 @@ class Participants:
 
 
 class _Republished(Carried):
-    """Publishes the samples of a topic as they are."""
-
     def __init__(self, publisher: AdaptivePublisher, *, is_latched: bool) -> None:
         super().__init__(is_latched=is_latched)
         self._publisher = publisher
 
     def send(self, _topic: str, writer: WriterOffer, sample: Sample) -> None:
-        """Send a sample on, in the reading thread."""
         self._publisher.pass_on(sample.data, writer.gid)
 
     def destroy(self) -> None:
-        """Send no more."""
         self._publisher.destroy()
 
 

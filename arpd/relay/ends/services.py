@@ -68,7 +68,6 @@ class _Endpoint(Inlet):
         self._thread.unwatch(self, self._event)
 
     def _is_ready(self, _now_s: float) -> bool:
-        """Return whether messages may leave."""
         return True
 
     def _leave(self, owner: Any, message: Any) -> int:
