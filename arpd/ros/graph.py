@@ -144,7 +144,10 @@ class Requests:
         )
 
     def _all(self) -> tuple[Endpoint, ...]:
-        return readers_of(self._node, self.topic)
+        try:
+            return readers_of(self._node, self.topic)
+        except ValueError:
+            return ()  # who announces a name that is no text stops no swap
 
 
 def _name(reader: Endpoint) -> str:

@@ -9,6 +9,9 @@ import pytest
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
+from arpd.endpoint.writer_swap import SwapTiming
+from arpd.model.endpoints import RefusalReason
+from arpd.ros import graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.rmw import Rmw, current_rmw
 from tests.ros.world import DOMAIN, REPO
@@ -38,6 +41,16 @@ def test_a_name_that_is_no_text_hides_no_other(ros, eventually, monkeypatch):
     ros.node("talker")
     eventually("the change is noticed", lambda: view.look() > 0)
     assert view.types == before
+
+
+def test_a_name_that_is_no_text_stops_no_swap(ros, monkeypatch, eventually):
+    """A swap that waits in vain for a reader ends with its reason, though the graph cannot be read."""
+    publisher = AdaptivePublisher(ros.node("talker"), String, "/x", 10, swap_timing=SwapTiming(match_timeout_s=0.1))
+    current = publisher._flow.swap.current
+    current.matched, current.is_acknowledged = (lambda: 1), (lambda: True)
+    monkeypatch.setattr(graph, "readers_of", lambda *_arguments: bytes([255]).decode())
+    publisher.retune(replace(publisher.plan, depth=20))
+    eventually("the daemon hears why", lambda: publisher.state().refusal_reason is RefusalReason.UNMATCHED)
 
 
 ANNOUNCED = f"""
