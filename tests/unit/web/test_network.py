@@ -39,8 +39,8 @@ def folder(tmp_path_factory):
 # -- TLS and users
 
 
-def test_client_certificates_are_required(folder):
-    """Only a client with a certificate of the CA is served."""
+def test_client_certificates_are_required(folder, status):
+    """Only a client with a certificate of the CA is served; `arpd status`, which has none, says so."""
     text = f"""{TLS}
   client_auth_type: RequireAndVerifyClientCert
   client_ca_file: ca.crt
@@ -50,6 +50,8 @@ def test_client_certificates_are_required(folder):
         for client in ("", "server"):
             with pytest.raises((OSError, ssl.SSLError)):
                 world.get(tls=trusting(folder, client=client))
+        code, _, err = status(world.server.url, "--cacert", str(folder / "server.crt"))
+        assert (code, "curl --cert" in err) == (3, True)
 
 
 def test_every_path_asks_for_the_password(folder, caplog):
