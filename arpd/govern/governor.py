@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
-_DEMAND_CHANGE = 0.25
+_DEMAND_CHANGE = 0.25  # a source that grows by more is above the ceiling of its plan
 _RISE_DWELLS = 3  # shorter deadlines and deeper histories are worth less than ones that hold
 _EXCESS = 0.1  # of the memory that histories under the plan may take; less is not worth swaps
 
@@ -261,8 +261,8 @@ def _allowed(rates: Allocation, topics: Sequence[Topic]) -> float:
     return min(1.0, allowed / wanted) if wanted > 0 else 1.0
 
 
-def _differ(before: float, now: float) -> bool:
-    return min(before, now) < (1.0 - _DEMAND_CHANGE) * max(before, now)
+def _differ(planned: float, now: float) -> bool:
+    return not (1.0 - _DEMAND_CHANGE) * planned <= now <= (1.0 + _DEMAND_CHANGE) * planned
 
 
 def _rows_in_force(publishers: Iterable[PublisherState]) -> dict[str, TopicPlan]:

@@ -122,7 +122,7 @@ def test_a_topic_that_comes_costs_one_plan_after_the_debounce():
     assert changes(run.ticks(3.0)) == ["topics"]
 
 
-@pytest.mark.parametrize("change", [{"desired_rate_hz": 80.0}, {"desired_rate_hz": 20.0}, {"wire_bytes": 60_000.0}])
+@pytest.mark.parametrize("change", [{"desired_rate_hz": 52.0}, {"desired_rate_hz": 29.0}, {"wire_bytes": 39_000.0}])
 def test_demand_does_not_wait_for_the_dwell(change):
     """A source whose rate or size changes by more than a quarter gets a plan after the hold, however new the last."""
     run = Run()
