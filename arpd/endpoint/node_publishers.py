@@ -130,9 +130,9 @@ class NodePublishers:
         Raises ValueError if the node has one on this topic already: a plan has one row for both.
         """
         topic = publisher.topic_name
-        if topic in self._publishers:
-            raise ValueError(f"{self._name} already has an AdaptivePublisher on {topic}; a plan has one row for both")
         with self._lock:
+            if topic in self._publishers:
+                raise ValueError(f"{self._name} already has an AdaptivePublisher on {topic}; a plan has one row for it")
             self._publishers = {**self._publishers, topic: publisher}
             self._show_price(publisher)
             self._give_row(publisher)
