@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 
@@ -22,11 +21,6 @@ class Train:
     duration_s: float
     packets: int
     sent_s: float = 0.0
-
-    @property
-    def rate_bytes_per_second(self) -> float:
-        """Capacity that this train saw: bytes after the first packet over the time they took (bytes/s)."""
-        return self.payload_bytes / self.duration_s if self.duration_s > 0 else math.inf
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

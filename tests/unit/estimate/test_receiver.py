@@ -50,7 +50,7 @@ def test_late_stamps_groups_and_bursts_do_not_matter(journey):
     train, rate = journey
     measured = measure_train(train, packets=len(train))
     assert measured is not None
-    assert measured.rate_bytes_per_second == pytest.approx(rate, rel=1e-3)
+    assert measured.payload_bytes / measured.duration_s == pytest.approx(rate, rel=1e-3)
 
 
 @given(st.lists(st.integers(-1, 3_000_000), min_size=1, max_size=40), st.integers(0, 400_000), st.integers(0, 10))
@@ -85,7 +85,7 @@ def test_a_complete_train_is_reported_once():
     send(receiver, 5, 10)
     first, second = (receiver.look(at_s, None) for at_s in (0.1, 0.4))
     assert (len(first.delays_s), len(first.trains), first.last_probe) == (1, 1, 5)
-    assert first.trains[0].rate_bytes_per_second == pytest.approx(RATE, rel=1e-6)
+    assert first.trains[0].payload_bytes / first.trains[0].duration_s == pytest.approx(RATE, rel=1e-6)
     assert (second.delays_s, second.trains, second.interval_s) == ((), (), pytest.approx(0.3))
 
 
@@ -105,7 +105,7 @@ def test_a_tenth_may_be_lost_anywhere(lost):
     send(receiver, 2, 1)
     (train,) = receiver.look(0.1, None).trains
     # A packet lost in the middle took link time, and its bytes do not count: the train reads low, never high.
-    assert 0.8 * RATE < train.rate_bytes_per_second < 1.001 * RATE
+    assert 0.8 * RATE < train.payload_bytes / train.duration_s < 1.001 * RATE
 
 
 def test_repeated_packets_do_not_pile_up():
