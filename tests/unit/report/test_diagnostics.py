@@ -40,6 +40,14 @@ def test_what_is_wrong_has_a_level_and_a_reason(snapshot, part, level, words):
     assert [name for name, status in told.items() if status.level is not Level.OK] == [part]
 
 
+def test_each_publisher_that_the_link_slows_has_a_value():
+    """Several nodes may publish one topic."""
+    publishers = sample().observation.publishers
+    other = replace(publishers[-1], node="/camera2")
+    told = statuses(sample(observation={"publishers": (*publishers, other)}))["plan"].values
+    assert [told[f"/camera/image of {node}"] for node in ("/camera", "/camera2")] == ["12.5 of 30 Hz"] * 2
+
+
 def test_ticks_that_fail_and_a_daemon_that_starts_are_stale():
     """A monitor never shows an old state as the present one."""
     late = statuses(calm(), after_s=12.0)
