@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from arpd.host.config.keys import changes
 from arpd.host.config.load import in_force
 from arpd.model.errors import ConfigError
+from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+_LONGEST_PATH = 4096
 _MOST_FAULTS = 20  # logged; `arpd check` names all
 
 
@@ -37,7 +39,7 @@ class Configuration:
 
     def __init__(self, settings: Settings, *, path: str, wall_clock: Callable[[], float]) -> None:
         self.settings = settings
-        self.path = path
+        self.path = printable(path, longest=_LONGEST_PATH)  # a name that is no UTF-8 is no JSON
         self.error = ""
         self.loaded_at_s = wall_clock()
         self.awaiting_restart: tuple[str, ...] = ()

@@ -16,6 +16,7 @@ from arpd.host.config.load import load_settings
 from arpd.model.observation import MemoryState
 from arpd.report.situation import status_line
 from arpd.solve import backends
+from tests.golden.sample import status_of
 from tests.sample_publishers import publisher
 from tests.unit.daemon.world import World
 from tests.unit.host.config.test_load import AT_START
@@ -271,6 +272,13 @@ def test_what_changed_is_logged(load, caplog):
     assert daemon.reload(lambda: load(document()))
     daemon.tick(now_s + 3 * DT_S)
     assert daemon.snapshot.keys_awaiting_restart == ()
+
+
+def test_a_file_whose_name_is_no_text_is_shown_all_the_same(load):
+    """The status names it, in JSON, which has UTF-8 alone."""
+    daemon: Any = Daemon(Robot(), load(document()), config_path="/etc/\udcff.yaml", clock=lambda: 0.0)
+    daemon.tick(0.0)
+    assert status_of(daemon.snapshot, now_s=0.0)["config_path"] == r"/etc/\udcff.yaml"
 
 
 @pytest.mark.parametrize("broken", [ModuleNotFoundError("No module named 'cvxpy'"), AttributeError("np.float_")])
