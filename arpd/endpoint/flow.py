@@ -187,7 +187,6 @@ class Flow(Generic[W]):
                 self.swap.wrote(self._clock())
 
     def _step(self, now_s: float) -> None:
-        """Move a swap on as far as its writers allow."""
         with self.lock:
             before, price = self._writer, self.lane.price
             self.swap.loss_ratio = None if price is None else price.loss_ratio

@@ -43,7 +43,6 @@ _EARLY_S, _EARLY_S_PER_PUBLISHER = 0.2, 2e-3
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _PLANS = Letters(topic=PLAN_TOPIC, decode=decode_plan, most_bytes=MOST_BYTES, most_hz=10.0)  # a daemon sends 5 at most
 _SILENT_S = 5.0  # a daemon sends its price every second; one that is silent for so long will plan nothing soon
-_WARN_EVERY_S = 5.0
 _LARGE_BYTES = 250_000  # at 20 Mbit/s others wait for 0.1 s
 
 
@@ -230,10 +229,7 @@ class NodePublishers:
         lease_s = self._answer.lease_s
         if not (self._answer.generation and lease_s) or self._clock() - self._heard_s <= lease_s:
             return
-        self._node.get_logger().warning(
-            f"no sign of arpd for {lease_s:g} s: the publishers return to their own QoS",
-            throttle_duration_sec=_WARN_EVERY_S,
-        )
+        self._node.get_logger().warning(f"no sign of arpd for {lease_s:g} s: the publishers return to their own QoS")
         self._answer = NO_PLAN  # the next daemon may begin with any generation
         self._rows = {}
         for publisher in self._publishers.values():

@@ -91,7 +91,6 @@ def _shown(record: Any) -> dict[str, Any]:
 
 @cache
 def _usual(kind: Any) -> dict[str, Any]:
-    """Return the usual value of each field."""
     return {
         each.name: each.default if each.default_factory is dataclasses.MISSING else each.default_factory()
         for each in dataclasses.fields(kind)

@@ -46,7 +46,7 @@ class OtherDaemons:
     @property
     def are_heard(self) -> bool:
         """Whether another daemon has sent its price lately."""
-        return bool(self._lately().keys() - {self._own})
+        return bool(self._lately())
 
     def active_daemon(self) -> str:
         """Return where the active daemon is, empty when it is this one."""

@@ -180,7 +180,6 @@ class TopicSurvey:
         return [topic for topic in self._graph.topics(prefix=self._prefix) if self._is_of_interest(topic.name)]
 
     def _begin_all(self) -> None:
-        """Begin to measure each topic that may be and is not yet."""
         for topic in self._listed():
             if topic.name not in self._running and topic.name not in self._traffic:
                 reason = self._begin(topic.name)
