@@ -287,7 +287,7 @@ def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
 
 def test_a_robot_that_is_left_out_says_so_in_its_log_once(world, tmp_path, eventually):
     """The base computer's end of its link domain serves another robot; the status line and the log have the fix."""
-    ends, said = world().start("robot"), "serves another robot; give each robot a relay.link_domain of its own"
+    ends, said = world().start("robot"), "serves another robot's end; give each robot a relay.link_domain of its own"
     stranger = Stranger(ends.side("link").node("stranger"), host="base", follows="010f0002" + 16 * "0")
     for _again in range(2):
         eventually("it is left out", lambda: stranger.live() or said in ends.status["robot"])

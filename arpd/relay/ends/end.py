@@ -48,7 +48,7 @@ log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain
 _LINGER_S = 3.0  # an end that has just started wants nothing at first
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
-_PARTICIPANT, _HOST = 24, 8  # digits of a GUID that name its process; its vendor and its host
+_PARTICIPANT = 24  # digits of a GUID that name its process
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -90,7 +90,7 @@ class End:
         self._refused: dict[str, str] = {}
         session = 1 + secrets.randbelow(WRAP - 1)
         link_gids = self._link_view.own.participant.hex()
-        self._partner, self._namespace = Partner(host=link_gids[:_HOST]), settings.namespace
+        self._partner, self._namespace = Partner(own=link_gids), settings.namespace
         self._new_state = partial(
             EndState,
             session=session,
@@ -298,7 +298,7 @@ class End:
         here, there, fault = self._told, self._there, self._fault
         is_settled = now_s - self._begun_s > _LINGER_S  # this computer may have had another address
         if there is NOBODY and is_settled and (hosts := self._partner.elsewhere(now_s)):
-            another = "base computer; a robot has one" if self._is_far else f"robot; {_OWN_DOMAIN}"
+            another = "base computer's end; a robot has one" if self._is_far else f"robot's end; {_OWN_DOMAIN}"
             fault = f"that of {', '.join(hosts)} serves another {another}"
         if self._is_shared:
             fault = ONE_DOMAIN

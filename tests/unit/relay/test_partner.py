@@ -8,6 +8,7 @@ from arpd.relay.partner import Partner
 ONE, TWO = (EndState(session=number, host=host) for number, host in ((1, "one"), (2, "two")))
 
 HOST = "010f0001"
+OWN, PREDECESSOR = HOST + 16 * "0", HOST + 16 * "1"
 
 
 def in_force(partner, *speaking, from_s, to_s):
@@ -23,7 +24,7 @@ def in_force(partner, *speaking, from_s, to_s):
 
 def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
     """The new session of a killed end is in force once the old one has missed a sign of life."""
-    partner = Partner(host=HOST)
+    partner = Partner(own=OWN)
     partner.tell(ONE, 0.0)
     assert in_force(partner, ONE, from_s=0.0, to_s=5.9) is ONE
     partner.tell(TWO, 6.0)
@@ -33,7 +34,7 @@ def test_a_restarted_end_takes_over_when_the_old_one_is_silent():
 
 def test_of_two_ends_the_first_stays_and_the_other_is_named():
     """While both speak, the first one is in force; when it stops, the other one is."""
-    partner = Partner(host=HOST)
+    partner = Partner(own=OWN)
     partner.tell(ONE, 0.0)
     partner.look(0.0)
     partner.tell(TWO, 0.5)
@@ -45,7 +46,7 @@ def test_of_two_ends_the_first_stays_and_the_other_is_named():
 
 def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     """In an outage the end is unreachable but known; after half a minute it is gone, and may return without a word."""
-    partner = Partner(host=HOST)
+    partner = Partner(own=OWN)
     partner.tell(ONE, 0.0)
     partner.look(0.0)
     known = [(partner.look(now_s), partner.is_reachable(now_s)) for now_s in (3.0, 20.0, 31.0)]
@@ -56,9 +57,20 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
 
 def test_an_end_that_serves_another_robot_is_not_followed():
     """Of two robots in one link domain, or two base computers, the second one follows only once the first has gone."""
-    partner, busy = Partner(host=HOST), replace(ONE, follows="010f0002" + 16 * "0")
+    partner, busy = Partner(own=OWN), replace(ONE, follows="010f0002" + 16 * "0")
     partner.tell(busy, 0.0)
     assert in_force(partner, ONE, from_s=0.0, to_s=20.0) is None
     assert (partner.is_reachable(20.0), partner.elsewhere(20.0)) == (False, ["one"])
-    partner.tell(free := replace(ONE, follows=HOST + 16 * "0"), 20.0)
+    partner.tell(free := replace(ONE, follows=OWN), 20.0)
     assert (partner.look(20.0), partner.elsewhere(20.0)) == (free, [])
+
+
+def test_a_second_end_on_a_host_follows_nobody_while_the_first_one_lives():
+    """Else each sample would arrive there twice; an end that restarts follows at once, as its predecessor did."""
+    partner = Partner(own=OWN)
+    partner.tell(busy := replace(ONE, follows=PREDECESSOR), 100.0)
+    assert in_force(partner, ONE, from_s=100.0, to_s=109.0) is busy
+    assert in_force(partner, ONE, from_s=109.0, to_s=120.0) is None
+    assert partner.elsewhere(120.0) == ["one"]
+    partner.tell(free := replace(ONE, follows=""), 121.0)
+    assert partner.look(121.0) is free
