@@ -12,6 +12,7 @@ from arpd.estimate.cross_traffic import CrossTraffic
 from arpd.estimate.local_queue import LocalQueue, QueuePast
 from arpd.estimate.peer_queue import PeerGauges, SentPing
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
+from arpd.estimate.receiver import LONGEST_QUIET_S
 from arpd.estimate.silence import Silence
 from arpd.estimate.trains import TrainLog
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
@@ -59,6 +60,7 @@ class Estimator:
         self._state = LinkState.APP_LIMITED
         self._started_at_s = math.inf
         self._last_s = self._reported_s = -math.inf
+        self._interval_s = 0.0  # of the last report
         self._is_silent = True  # for longer than one lost report explains
         self._look_weight = 1.0  # of what left this host since the last update
         self._peers = PeerGauges()
@@ -171,7 +173,7 @@ class Estimator:
         silent_s = now_s - self._reported_s
         if max(parameters.OUTAGE_FORGET_S, self._outage_s) < silent_s < math.inf:
             self._resume(now_s, silent_s)
-        self._reported_s = now_s
+        self._reported_s, self._interval_s = now_s, min(LONGEST_QUIET_S, report.interval_s)
         while self._asked and self._asked[0].number < report.last_probe:
             self._asked.popleft()
         self._loss.digest(report)
@@ -313,8 +315,11 @@ class Estimator:
 
     @property
     def _outage_s(self) -> float:
-        """Silence that is an outage: longer than one lost report explains, at the pace that reached the peer (s)."""
-        quiet_s = max((request.quiet_s for request in self._asked), default=0.0)
+        """Silence that is an outage: longer than one lost report explains, at the pace that reached the peer (s).
+
+        Who sends no probes, because the capacity is pinned or another daemon drives, sees the pace in the reports.
+        """
+        quiet_s = max((request.quiet_s for request in self._asked), default=self._interval_s)
         return max(parameters.OUTAGE_S, parameters.OUTAGE_QUIETS * quiet_s)
 
     @property

@@ -6,7 +6,9 @@ import pytest
 
 from arpd.estimate.silence import Silence
 from arpd.model.interface import InterfaceState
+from arpd.model.link import LinkState
 from tests.sample_link import INTERFACE
+from tests.unit.estimate.test_estimator import FIRST, Link
 
 
 @pytest.mark.parametrize("how", [{"backlog_bytes": 150_000}, {"tx_dropped": 40}])
@@ -31,3 +33,13 @@ def test_a_peer_on_another_way_is_no_peer_of_this_link(counters):
     for tick in range(200):
         silence.note(50.0 + 0.1 * tick, counters if tick < 20 else INTERFACE, is_usual=tick < 20)
     assert not silence.is_cut
+
+
+def test_who_sends_no_probes_takes_the_pace_of_the_reports():
+    """A peer that another daemon, or one before, has told to report rarely is no outage between two reports."""
+    link = Link(capacity_bytes_per_second=FIRST)
+    link.tick(interval_s=0.7)
+    for _ in range(5):
+        assert link.ticks(6, silent=True).state is not LinkState.OUTAGE
+        link.tick(interval_s=0.7)
+    assert link.ticks(17, silent=True).state is LinkState.OUTAGE
