@@ -15,7 +15,7 @@ from tornado.httpclient import HTTPClient, HTTPClientError
 from tornado.iostream import UnsatisfiableReadError
 from tornado.simple_httpclient import HTTPTimeoutError, SimpleAsyncHTTPClient
 
-from arpd.cli.options import IN_CLEAR, PASSWORD
+from arpd.cli.options import IN_CLEAR, PASSWORD, Address
 from arpd.model.errors import ArpdError, DaemonUnreachableError, NoAnswerError, UsageError
 from arpd.model.quantities import printable
 from arpd.web.api import History, Status
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from arpd.cli.options import Address
 
 _DEADLINE_S = 3.0  # of a whole answer
 _MOST_BYTES = 16 * 2**20

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.styled import Styled
 from rich.text import Text
 
@@ -21,23 +21,20 @@ from arpd.model.quantities import (
     format_size,
     printable,
 )
-from arpd.report.conditions import Condition
+from arpd.report.conditions import Condition, Event
 from arpd.report.wording import PACED_ONLY, confirmed
-from arpd.web.api import Finding
+from arpd.web.api import Finding, History, Plan, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
     from rich.table import Table
 
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
     from arpd.model.relay import RelaySummary
-    from arpd.report.conditions import Event
     from arpd.report.topic_rows import Topic
-    from arpd.web.api import History, Plan, Status
 
     Show = Callable[[float], str]
     Worst = Callable[[Iterable[float]], float]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.client import Daemon
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
-from arpd.host.discovery import listen
+from arpd.host.discovery import HeardDiscovery, listen
 from arpd.host.interface import index_of, interface_to, likeliest_interface, list_interfaces
 from arpd.host.services import OF_ARPD, service_states, used_on_base
 from arpd.model.errors import ArpdError, ConfigError, NoAnswerError, NotKnownError, UsageError
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from arpd.host.discovery import HeardDiscovery
     from arpd.web.api import Status
 
 _ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound

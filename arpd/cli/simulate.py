@@ -12,8 +12,8 @@ from rich.text import Text
 
 from arpd.cli.options import Command, add_config, add_json, config_of, within
 from arpd.cli.output import fitted, progress, show
-from arpd.daemon.scenario import Moment, Scenario, Way
-from arpd.daemon.summary import WARM_UP_S, summarize
+from arpd.daemon.scenario import Moment, Scenario, ScenarioResult, Way
+from arpd.daemon.summary import WARM_UP_S, Summary, summarize
 from arpd.host.config.load import load_settings
 from arpd.model.endpoints import Direction
 from arpd.model.errors import UsageError
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from arpd.daemon.scenario import ScenarioResult
-    from arpd.daemon.summary import Summary
     from arpd.model.settings import Settings
     from arpd.sim.result import SimTopic, TopicResult
 

@@ -18,19 +18,16 @@ from arpd.host.config.yaml_source import START, Fault, config_error
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.kinds import between
 from arpd.model.quantities import RATE, format_number, format_rate, format_share, format_size
-from arpd.model.settings import Backend
+from arpd.model.settings import Backend, Settings
 from arpd.report.wording import count
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import Eq4Problem, whole
 from arpd.solve.program import Program
-from arpd.solve.topics import assumed_traffic, rows_of_traffic
+from arpd.solve.topics import Traffic, assumed_traffic, rows_of_traffic
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
-
-    from arpd.model.settings import Settings
-    from arpd.solve.topics import Traffic
 
     Document = Mapping[str, Any]
 

@@ -11,7 +11,7 @@ from arpd.model.wire import probe_wire_bytes
 from arpd.report.decision_log import DecisionLog
 from arpd.report.history import History
 from arpd.report.situation import find
-from arpd.report.snapshot import Totals
+from arpd.report.snapshot import Snapshot, Totals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from arpd.govern.governor import Governor
     from arpd.model.probing import ProbeRequest
     from arpd.report.conditions import Event, Finding
-    from arpd.report.snapshot import Snapshot
     from arpd.solve.program import Program
 
 log = logging.getLogger(__name__)

@@ -20,13 +20,12 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.journal import configure_logging, log_event
 from arpd.host.kernel import interface_of_link
 from arpd.host.notify import Notifier
-from arpd.model.settings import OnStop
+from arpd.model.settings import OnStop, Settings
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-    from arpd.model.settings import Settings
     from arpd.sim.oracle import Oracle
 
 log = logging.getLogger(__name__)

@@ -15,20 +15,17 @@ from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.model.wire import HEARTBEAT_S
 from arpd.sim.demo import demo_topics
 from arpd.sim.ends import SimulatedEnd, SimulatedLinkTopic
-from arpd.sim.link import LinkModel, Loopback, SimulatedLink
+from arpd.sim.link import CrossFlow, LinkModel, Loopback, SimulatedLink
 from arpd.sim.oracle import Oracle
 from arpd.sim.robot import SimulatedPublisher, SimulatedThread, play_source
-from arpd.sim.schedule import Service
-from arpd.sim.socket import SOCKET_BYTES
+from arpd.sim.schedule import RateSchedule, Service
+from arpd.sim.socket import SOCKET_BYTES, Carrier
 from arpd.sim.timeline import Alarm, Timeline
 from arpd.sim.world import PLANNER, RELAY, SimulatedWorld
 
 if TYPE_CHECKING:
     from arpd.model.settings import Settings
-    from arpd.sim.link import CrossFlow
     from arpd.sim.result import SimTopic, TopicResult
-    from arpd.sim.schedule import RateSchedule
-    from arpd.sim.socket import Carrier
 
 _LEAD_S = 3.0  # daemon, relay and peer run this long before the sensors publish
 _DRAIN_S = 4.0  # as in the real demo: late samples still count as delivered

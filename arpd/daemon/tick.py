@@ -15,7 +15,7 @@ from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
 from arpd.govern.progress import Progress, progress
-from arpd.model.allocation import Allocation, Decision
+from arpd.model.allocation import Allocation, Decision, Topic
 from arpd.model.plan import MOST_GENERATION, QosPlan, own_qos
 from arpd.model.price import Price
 from arpd.report.snapshot import Snapshot
@@ -25,7 +25,6 @@ from arpd.solve.topics import measured_traffic, memory_budget_bytes, rows_of_tra
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from arpd.model.allocation import Topic
     from arpd.model.link import LinkEstimate
     from arpd.model.observation import Observation
     from arpd.model.settings import Settings

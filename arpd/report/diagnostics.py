@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
 from arpd.report.conditions import Condition, Severity
-from arpd.report.situation import judge, who_confirmed
+from arpd.report.situation import Situation, judge, who_confirmed
 
 if TYPE_CHECKING:
-    from arpd.report.situation import Situation
     from arpd.report.snapshot import Snapshot
 
 _RECENT_S = 60.0

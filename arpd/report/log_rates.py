@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 from arpd.model.link import LinkState
 from arpd.report.conditions import Condition, Event, Happening
 from arpd.report.situation import slowed_topics
-from arpd.report.topic_rows import topic_rows
+from arpd.report.topic_rows import Topic, topic_rows
 from arpd.report.wording import Change, changes, count
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import Topic
 
 _EVERY_S = 1.0
 _LASTS_S = 9.5  # a change that is over sooner is the price at work

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import RefusalReason
+from arpd.model.endpoints import PublisherState, RefusalReason, SwapRecord
 from arpd.model.quantities import format_duration, format_period
 from arpd.report.conditions import Event, Happening, Severity
 from arpd.report.wording import count, listed
@@ -12,7 +12,6 @@ from arpd.report.wording import count, listed
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from arpd.model.endpoints import PublisherState, SwapRecord
     from arpd.report.snapshot import Snapshot
 
 _MOST_ALONE = 3  # more publishers that announce the same between two looks are one event

@@ -11,19 +11,17 @@ from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
 from arpd.model.quantities import format_duration, format_number, format_rate, format_share
-from arpd.model.settings import AUTO
+from arpd.model.settings import AUTO, RelaySettings
 from arpd.report import waiting
 from arpd.report.conditions import Condition, Finding
-from arpd.report.topic_rows import topic_rows
+from arpd.report.topic_rows import Topic, topic_rows
 from arpd.report.wording import confirmed, count, listed, short
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from arpd.model.relay import RelaySummary
-    from arpd.model.settings import RelaySettings
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import Topic
 
 _DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
 _LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people

@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from arpd.model.allocation import Binding
+from arpd.model.allocation import Binding, TopicAllocation
 
 if TYPE_CHECKING:
-    from arpd.model.allocation import TopicAllocation
     from arpd.model.endpoints import PublisherState
     from arpd.model.plan import TopicPlan
     from arpd.report.snapshot import Snapshot

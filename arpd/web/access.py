@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import prometheus_client
 from prometheus_client import CollectorRegistry, disable_created_metrics
-from tornado.httputil import split_host_and_port
+from tornado.httputil import HTTPServerRequest, split_host_and_port
 
 from arpd.model.errors import ConfigError
 from arpd.ros.rate_limits import OncePerMinute
@@ -25,8 +25,6 @@ from arpd.web.web_config import Protection, load_protection
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
-
-    from tornado.httputil import HTTPServerRequest
 
     from arpd.model.settings import HttpSettings
 

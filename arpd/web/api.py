@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,18 +16,14 @@ from arpd.model.price import Price
 from arpd.model.probing import ClockOffset
 from arpd.model.relay import RelaySummary
 from arpd.report.conditions import Condition, Event, Happening, Severity
-from arpd.report.history import LINK_SERIES, PERIOD_S, SPAN_S
+from arpd.report.history import LINK_SERIES, PERIOD_S, SPAN_S, Sample
 from arpd.report.situation import judge
-from arpd.report.snapshot import Totals
+from arpd.report.snapshot import Snapshot, Totals
 from arpd.report.topic_rows import Topic, topic_rows
 from arpd.web.json_text import plain, text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from arpd.report import conditions
-    from arpd.report.history import Sample
-    from arpd.report.snapshot import Snapshot
 
 API_VERSION = "v1"
 # `Event`, `Topic` and `Surroundings` name them for type checkers only; who reads a document finds them here.

@@ -9,15 +9,13 @@ from itertools import chain
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
-from prometheus_client import generate_latest
+from prometheus_client import CollectorRegistry, generate_latest
 
 from arpd.web.api import history_json, status_json
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterable, Iterator
-
-    from prometheus_client import CollectorRegistry
 
     from arpd.report.history import History
     from arpd.report.snapshot import Snapshot

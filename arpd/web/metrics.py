@@ -9,8 +9,8 @@ from collections import Counter
 from itertools import chain, product
 from typing import TYPE_CHECKING, TypeAlias
 
-from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Sample
+from prometheus_client import CollectorRegistry, Histogram, PlatformCollector, ProcessCollector
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric, Sample
 from prometheus_client.registry import Collector
 
 from arpd import __version__
@@ -23,16 +23,12 @@ from arpd.model.plan import NANOSECONDS_PER_SECOND
 from arpd.relay.calls import FailureReason
 from arpd.report.conditions import MESSAGE_IDS, Condition
 from arpd.report.situation import judge
-from arpd.report.topic_rows import topic_rows
+from arpd.report.topic_rows import Topic, topic_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from prometheus_client import Histogram
-    from prometheus_client.core import Metric
-
     from arpd.report.snapshot import Snapshot
-    from arpd.report.topic_rows import Topic
 
 _Labels: TypeAlias = dict[str, str]
 _Rows: TypeAlias = "Iterable[tuple[_Labels, float]]"  # there may be thousands

@@ -7,7 +7,7 @@ import ssl
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationInfo
 
@@ -15,10 +15,7 @@ from arpd.host.config.keys import sections_of
 from arpd.host.config.load import validated
 from arpd.host.config.yaml_source import YamlSource, read_bounded
 from arpd.model.quantities import printable
-from arpd.model.settings import Section
-
-if TYPE_CHECKING:
-    from arpd.model.settings import HttpSettings
+from arpd.model.settings import HttpSettings, Section
 
 MAX_COST = 14  # each step doubles the time of bcrypt; 14 takes seconds on a Pi
 _HASH = re.compile(r"\$2[aby]\$([0-9]{2})\$[./A-Za-z0-9]{53}")

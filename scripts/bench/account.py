@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from arpd.sim.result import percentile
-from scripts.bench.samples import sources_of
+from scripts.bench.samples import Topic, sources_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from scripts.bench.samples import Topic
     from scripts.bench.sides import Robot
 
 GROUPS = ("commands", "small", "paired", "large")

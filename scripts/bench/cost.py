@@ -15,20 +15,18 @@ from typing import TYPE_CHECKING, Any
 from arpd.sim.result import percentile
 from scripts.bench.links import MBIT
 from scripts.bench.nodes import TOPICS_PER_NODE
-from scripts.bench.report import Summary, figure, table
+from scripts.bench.report import Figure, Summary, figure, table
 from scripts.bench.robots import demo_robot
 from scripts.bench.samples import Topic
 from scripts.bench.sides import SHARED, SIDES, Robot
 from scripts.bench.slow import CORES, MEMORY_BYTES, SlowComputer, boards
-from scripts.bench.world import world_of
+from scripts.bench.world import World, world_of
 from scripts.netns.namespaces import inside
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
     from scripts.bench.account import Account
-    from scripts.bench.report import Figure
-    from scripts.bench.world import World
 
     Client = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 

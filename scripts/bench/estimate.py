@@ -12,20 +12,18 @@ from random import Random
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from arpd.daemon.scenario import Scenario, Way
+from arpd.daemon.scenario import Moment, Scenario, ScenarioResult, Way
 from arpd.daemon.summary import WARM_UP_S, between, summarize
 from arpd.model.settings import TopicSettings
 from arpd.sim.demo import demo_settings, demo_topics
 from arpd.sim.link import CrossFlow, LinkModel
-from arpd.sim.schedule import outages
+from arpd.sim.schedule import RateSchedule, outages
 from scripts.bench.links import GOOD_S, MBIT, bursts, marks
 from scripts.bench.report import Summary, figure, picked, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from arpd.daemon.scenario import Moment, ScenarioResult
-    from arpd.sim.schedule import RateSchedule
 
 ARPD, BOUND = "arpd", "bound"
 SEEDS, PROCESSES = 3, 2

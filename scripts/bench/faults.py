@@ -25,12 +25,11 @@ from scripts.bench.links import MBIT, Course
 from scripts.bench.report import Summary, figure, table
 from scripts.bench.samples import BASE, Topic
 from scripts.bench.sides import SIDES, Robot, Service
-from scripts.bench.world import world_of
+from scripts.bench.world import World, world_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scripts.bench.world import World
 
 MINUTES, QUICK_MINUTES = 2.5, 0.75
 _AFTER_KILL_S = 1.0  # RestartSec= of the units

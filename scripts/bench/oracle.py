@@ -16,18 +16,14 @@ import sys
 import time
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from arpd.daemon.run import run_daemon
 from arpd.host.netlink import read_counters
 from arpd.model.link import CapacityKind, LinkEstimate, LinkState
 from arpd.sim.oracle import Oracle
 from arpd.sim.schedule import RateSchedule, RateStep, Service
-from scripts.bench.links import at
+from scripts.bench.links import Course, at
 from scripts.netns.simlink import INTERFACE
-
-if TYPE_CHECKING:
-    from scripts.bench.links import Course
 
 AHEAD_S = 0.2  # as `arpd.daemon.scenario` averages the truth
 

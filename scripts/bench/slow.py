@@ -18,13 +18,12 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from arpd.model.errors import ArpdError
 
 if TYPE_CHECKING:
     from types import TracebackType
-    from typing import Self
 
 CORES, MEMORY_BYTES = 4, 2**30
 _PI_4_S, _PI_5_TIMES = 79.216, 2967 / 1769

@@ -19,14 +19,13 @@ import numpy as np
 from arpd.model.allocation import Topic
 from arpd.model.settings import Backend, Settings
 from arpd.solve import cvxpy_, osqp_
-from arpd.solve.level import TOLERANCE, water_level
+from arpd.solve.level import TOLERANCE, Column, water_level
 from arpd.solve.program import Program
 from scripts.bench.report import Summary, figure, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.solve.level import Column
 
 PAPER = "the paper's way: cvxpy with its default solver, (G1) with κ"
 LEVELS: dict[str, Callable[[Column, Column, Column, float], float]] = {

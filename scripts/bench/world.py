@@ -21,22 +21,19 @@ import psutil
 from arpd.ros.runtime import FASTDDS_PROFILE
 from scripts.bench.account import Account
 from scripts.bench.child import Child, ChildError, becomes_true
-from scripts.bench.links import at
+from scripts.bench.links import Course, at
 from scripts.bench.nodes import BASE_SINK, CALLER, ROBOT_SINK
 from scripts.bench.oracle import write_truth
 from scripts.bench.report import REPO
 from scripts.bench.samples import BASE
 from scripts.bench.sides import PREFIX, Robot, Side
-from scripts.netns.namespaces import HOST_NAMES, inside
-from scripts.netns.simlink import SimLink
+from scripts.netns.namespaces import HOST_NAMES, HostName, inside
+from scripts.netns.simlink import Bottleneck, SimLink
 
 if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable, Iterator, Sequence
 
-    from scripts.bench.links import Course
-    from scripts.netns.namespaces import HostName
-    from scripts.netns.simlink import Bottleneck
 
 _STATUS_URL = "http://127.0.0.1:9464/api/v1/status"
 _MATCH_S, DRAIN_S, _LEAD_S = 40.0, 4.0, 1.0

@@ -17,18 +17,15 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import zenoh
 
-from arpd.ros.raw_reader import RawReader, ReadingThread
+from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from scripts.bench.child import serve
 from scripts.bench.nodes import created, plain_node, qos_of
 from scripts.bench.samples import BASE, Topic, class_of
 from scripts.bench.sides import Way
-
-if TYPE_CHECKING:
-    from arpd.ros.raw_reader import Sample
 
 _PORTS = {7447: "prio=1-5", 7448: "prio=6-7"}  # and what crosses there
 _LISTENS = "robot"  # the other end connects to it

@@ -19,7 +19,7 @@ import zlib
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pyroute2 import IPRoute, NetlinkError
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
     from types import FrameType
-    from typing import Self
 
     from arpd.model.interface import LinkCounters
 

@@ -18,10 +18,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.screen import Screen
@@ -39,9 +38,6 @@ from scripts.bench.world import world_of
 from scripts.netns.simlink import available
 from scripts.robot.demo import DemoError
 from scripts.robot.proxy import HTTP_PORT, window
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page, ViewportSize
 
 _FAST, _SLOW, _OUT = (20 * MBIT, 0.0), (5 * MBIT, 0.0), (2000.0, 1.0)
 _COURSE = [(0.0, *_FAST), (30.0, *_SLOW), (55.0, *_OUT), (66.0, *_SLOW), (72.0, *_FAST), (97.0, *_SLOW)]

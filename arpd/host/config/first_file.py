@@ -10,14 +10,12 @@ from pydantic import TypeAdapter
 
 from arpd.model.kinds import NONE
 from arpd.model.quantities import format_rate, printable
-from arpd.model.settings import TopicSettings
-from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND, wire_bytes_per_second
+from arpd.model.settings import Settings, TopicSettings
+from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND, FirstGuess, TopicGuess, wire_bytes_per_second
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from arpd.model.settings import Settings
-    from arpd.report.first_guess import FirstGuess, TopicGuess
 
 _WIDTH = 110
 _LONGEST = 400

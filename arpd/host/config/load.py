@@ -6,22 +6,19 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from arpd.host.config.keys import SECTIONS, SETTINGS, keys_at, nearest
+from arpd.host.config.keys import SECTIONS, SETTINGS, Sections, keys_at, nearest
 from arpd.host.config.rules import broken_rules
-from arpd.host.config.yaml_source import Fault, YamlSource, dotted
+from arpd.host.config.yaml_source import Fault, Location, YamlSource, dotted
 from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
-    from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
 
-    from arpd.host.config.keys import Sections
-    from arpd.host.config.yaml_source import Location
     from arpd.model.settings import Settings
 
 T = TypeVar("T")

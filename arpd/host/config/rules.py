@@ -6,13 +6,12 @@ from dataclasses import fields
 from typing import TYPE_CHECKING
 
 from arpd.model.names import LONGEST_NAME
-from arpd.model.settings import AUTO, RelaySettings, key_of
+from arpd.model.settings import AUTO, RelaySettings, RelayTopic, Settings, TopicGroup, TopicSettings, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from arpd.host.config.yaml_source import Fault, Location, YamlSource
-    from arpd.model.settings import RelayTopic, Settings, TopicGroup, TopicSettings
 
 _ONE_ENDED = frozenset({"link_domain", "prefix", "topics"})  # keys of `relay` that do not need two ends
 
