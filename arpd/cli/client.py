@@ -193,8 +193,11 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         why = f"the certificate of {url} is not trusted ({error.verify_message}); {hint}"
     elif isinstance(error, ssl.SSLError):
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
-        if "CERTIFICATE_REQUIRED" in (error.reason or ""):
-            why = f"{url} asks for a client certificate, which arpd cannot present; ask its API by curl --cert"
+        # Whether its alert is read before the end of the connection is chance.
+        is_cut = isinstance(error, ssl.SSLEOFError)
+        if is_cut or "CERTIFICATE_REQUIRED" in (error.reason or ""):
+            asks = "broke off TLS, so it speaks no https, or asks" if is_cut else "asks"
+            why = f"{url} {asks} for a client certificate, which arpd cannot present; ask its API by curl --cert"
     elif isinstance(error, (OSError, HTTPTimeoutError)) and not isinstance(error, ConnectionResetError):
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
         reason = "timed out" if is_late else getattr(error, "strerror", None) or error
