@@ -40,7 +40,8 @@ class RatesLog:
         if now_s < self._due_s or not snapshot.allocation.topics:
             return
         self._due_s = now_s + _EVERY_S
-        now = {slowed.topic: slowed for slowed in slowed_topics(topic_rows(snapshot))}
+        # Of several publishers of a topic the one that is slowed most counts, as in the verdict.
+        now = {slowed.topic: slowed for slowed in reversed(slowed_topics(topic_rows(snapshot)))}
         if now.keys() == self._logged.keys() and not any(_is_far(now[topic], self._logged[topic]) for topic in now):
             self._news_since_s = math.inf
             return

@@ -182,6 +182,10 @@ def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
     assert rose.text.startswith("the link lets 3 topics send more: /camera 2.1 → 10 Hz")
     (free,) = log.wait(12.0, topics=FULL)
     assert (free.severity, "/camera 10 → 30 Hz" in free.text) == (Severity.INFO, True)
+    other = publisher("/camera2", "/camera", source_rate_hz=12.0)
+    log.tick(publishers=(*log.snapshot.observation.publishers, other))
+    (slowed,) = log.wait(12.0, topics=FELL)
+    assert "/camera 30 → 2.1 Hz" in slowed.text  # of several publishers the one that is slowed most
 
 
 # -- publishers
