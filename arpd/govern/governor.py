@@ -270,5 +270,6 @@ def _rows_in_force(publishers: Iterable[PublisherState]) -> dict[str, TopicPlan]
         each.topic: TopicPlan(
             rate_hz=each.rate_hz, min_rate_hz=0.0, deadline_ns=each.deadline_ns, depth=max(1, each.depth)
         )
-        for each in publishers
+        # Of one topic the shortest history counts: a node refuses one beyond the bounds that is not its own.
+        for each in sorted(publishers, key=lambda publisher: publisher.depth, reverse=True)
     }

@@ -45,6 +45,7 @@ class Run:
         self.answers = {}
         self.topics = topics
         self.silent = set()
+        self.others = ()  # publishers, beside one for each topic
         self.generation = generation
         self.requested_ns = 0
         self.memory = MEMORY
@@ -75,7 +76,7 @@ class Run:
             rates=self.solved(capacity),
             lasting=self.solved(capacity if lasting is None else lasting),
             topics=self.topics,
-            publishers=[self.announced(topic.name) for topic in self.topics],
+            publishers=[*(self.announced(topic.name) for topic in self.topics), *self.others],
             participants=self.participants,
         )
 
@@ -150,6 +151,14 @@ def test_silence_is_no_demand():
     run.silent, run.topics = set(), TOPICS
     assert not changes(run.ticks(5.0))
     assert run.governor.plan.topics["/t0"] == row
+
+
+def test_a_silent_topic_of_two_nodes_keeps_a_depth_that_both_may_have():
+    """A node refuses a whole plan with a depth beyond the bounds that its application did not choose."""
+    run = Run()
+    run.silent = {"/t0"}
+    run.others = (replace(run.announced("/t0"), node="/other", depth=9000, baseline_depth=9000),)
+    assert run.planned().governor.plan.topics["/t0"].depth == APPLICATION[0]
 
 
 def test_a_reader_that_asks_for_less_is_served_at_once():
