@@ -42,6 +42,27 @@ def test_samples_of_sets_that_stay_incomplete_are_counted():
     assert sum(dropped) == 5
 
 
+def test_sets_that_wait_for_a_dead_camera_take_little_memory():
+    """However large its samples are, 16 MB wait at most, or two sets; each of those may still become whole."""
+    dropped = []
+    sets = Sets({0, 1}, on_drop=dropped.append)
+
+    def image(member, stamp, size_bytes):
+        return Record(bytes([member] * 8), stamp, sample(member, stamp).sample + bytes(size_bytes))
+
+    for stamp in range(64):
+        sets.add(0, image(0, stamp, 4_000_000))
+        assert (stamp + 1 - sum(dropped)) * 4_000_000 <= 16_000_000
+    assert sum(dropped) == 64 - 3
+    for stamp in (70, 71):
+        sets.add(0, image(0, stamp, 20_000_000))
+    assert len(sets.add(1, sample(1, 70))) == 2
+    assert len(sets.add(1, sample(1, 71))) == 2
+    for stamp in range(100, 100 + 64):  # what is gone counts no more
+        sets.add(0, image(0, stamp, 200_000))
+    assert sum(dropped) == 64
+
+
 def test_a_stamp_is_read_in_either_byte_order_or_refused():
     """A serialized header begins with seconds and nanoseconds; what is too short or encoded otherwise has none."""
     for order in "<>":
