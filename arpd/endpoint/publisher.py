@@ -24,6 +24,7 @@ from arpd.model.endpoints import (
     Refusal,
     RefusalReason,
     SwapResult,
+    SwapTiming,
     WriterQos,
 )
 from arpd.ros.graph import Requests, type_name_of
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
     from rclpy.qos_overriding_options import QoSOverridingOptions
 
-    from arpd.endpoint.writer_swap import SwapTiming
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 
@@ -194,7 +194,7 @@ class AdaptivePublisher:
 
     def assert_liveliness(self) -> None:
         """Assert that it is alive, by all its writers: a reader takes one that a swap retires for dead otherwise."""
-        with self._flow.lock:
+        with self._flow.swap.lock:
             for writer in self._flow.swap.writers:
                 writer.publisher.assert_liveliness()
 
@@ -235,7 +235,7 @@ class AdaptivePublisher:
             self._refusal = NO_REFUSAL
         elif self._lasting_refusal.words:
             self._refusal, qos = self._lasting_refusal, self._flow.swap.qos
-        self._flow.request(qos)
+        self._flow.swap.request(qos)
         self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._thread.wake(self)
 

@@ -3,48 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from contextlib import ExitStack
+from collections import defaultdict, deque
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from arpd.model.endpoints import SwapRecord, SwapResult, SwapState, Writer, WriterQos
+from arpd.model.endpoints import SwapRecord, SwapResult, SwapState, SwapTiming, Writer, WriterQos
 from arpd.model.wire import CLEAN_LOSS_RATIO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
+_NO_LOCK = nullcontext()
 W = TypeVar("W", bound=Writer)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SwapTiming:
-    """Timeouts of the state machine (s).
-
-    Parameters
-    ----------
-    settle_s : least time between the last change of the matched readers and the switch: the readers' side matches later
-    clean_settle_s : the same while the link loses less than 0.5 % of its packets
-    clean_unproven_s : the same if a reader acknowledges nothing, so that a new writer cannot prove that it hears it
-    match_timeout_s : time after which a new writer is destroyed when a reader does not match it, or does not
-        acknowledge its samples; also the longest delay that readers which keep joining can cause
-    watch_s : time to wait for an instant at which the old writer is acknowledged, before samples are held. A swap holds
-        once: when that does not help, acknowledgements are slow, as with Fast DDS's default heartbeat of 3 s
-    hold_s : longest time samples are held at a time
-    patience_s : after this and ``settle_s`` the new writer takes over, even when the old one is not acknowledged
-    drain_s : longest life of an old writer after the switch
-    most_draining : old writers that may drain at a time; the next swap waits, so that histories cannot pile up
-    """
-
-    settle_s: float = 3.0  # at 10 % loss, of 570 readers half matched at once, 2 % after 1 s, the last after 2.8 s
-    clean_settle_s: float = 0.2
-    clean_unproven_s: float = 1.5  # at 0.4 % loss, one lost packet delayed the match of 60 of 100 readers to 1.1 s
-    match_timeout_s: float = 10.0
-    watch_s: float = 0.3
-    hold_s: float = 0.3
-    patience_s: float = 4.0  # longer than the default heartbeat period, 3 s
-    drain_s: float = 4.0
-    most_draining: int = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,27 +27,31 @@ class _Draining(Generic[W]):
 
 
 class WriterSwap(Generic[W]):
-    """Owns the writers of one publisher and replaces them without losing a sample.
+    """Writes by the writer in force of one publisher, and replaces that without losing a sample.
 
-    docs/design.md has the states and their transitions. After a switch the old writer drains beside the new one.
+    docs/design.md has the states and their transitions. After a switch the old writer drains beside the new one. What
+    a swap held leaves at twice the rate at which it came.
 
     Only the writer's side knows at once that it matched, so the new writer has to prove itself. On a lossy link the
     readers' side follows up to seconds later, and a small history would lose the samples of that time.
 
-    A newer request replaces one that still waits for readers, and one that it takes back. Nothing is lost, because
-    samples still leave by the old writer. A swap that has its readers is finished first, so endless requests cannot
-    starve each other.
-
-    Invariant: until `close`, ``current`` is always a live writer, and every sample is written exactly once.
+    Invariant: until `close`, ``current`` is always a live writer, and every sample is written exactly once. Only one
+    thread at a time may call `write`, `step` and `rest`.
 
     Parameters
     ----------
     create : makes a writer with the given QoS; may raise
     on_result : called with the result of every swap and the QoS it was about
     qos : QoS of the first writer
+    clock : monotonic clock (s)
+    on_held : called when it holds samples, so that `step` is due soon
+    lock : guards the writers, may be taken again by the thread that has it; needed where several threads call
 
     Attributes
     ----------
+    current : writer by which samples leave; only a step changes it
+    held : samples that wait for the swap, the oldest first, and when they came (s)
+    failed : samples that the middleware refused
     begun : swaps so far; each has one result, and perhaps ``undelivered`` beside it, or is under way
     last : the swap that finished last, None before the first
     loss_ratio : share of packets that the link loses, None while unknown; the owner keeps it up to date
@@ -87,43 +63,41 @@ class WriterSwap(Generic[W]):
         create: Callable[[WriterQos], W],
         on_result: Callable[[SwapResult, WriterQos], None],
         qos: WriterQos,
+        clock: Callable[[], float],
+        on_held: Callable[[], None] = lambda: None,
         timing: SwapTiming | None = None,
+        lock: AbstractContextManager[Any] = _NO_LOCK,
     ) -> None:
-        self._create = create
-        self._on_result = on_result
+        self._create, self._on_result, self._on_held = create, on_result, on_held
         self._timing = timing or SwapTiming()
+        self._clock, self.lock = clock, lock
         self._qos = qos
-        self._current = create(qos)
+        self._current = self.current = create(qos)
+        self._awaits_silence = False  # the state has to be looked at just before a sample leaves
+        self.held: deque[tuple[bytes, float]] = deque()
+        self._release_s = 0.0  # when the first of them may leave
+        # Of the writers before, less those of this one until it was in force.
+        self._missed = -self.current.deadlines_missed()
         self._wanted: WriterQos | None = None
         self._next: W | None = None
         self._next_qos = qos
         self._created_s = 0.0
         self._readers = (0, 0)  # of the current and the next writer, when last looked at
         self._readers_since_s = 0.0
-        self._patient_until_s = 0.0
         self._since_s = 0.0  # when the state was entered, or samples of it began to be held
         self._watch_s = 0.0
         self._can_prove = False  # the readers acknowledge samples
         self._is_late = False  # switched with the old writer not fully acknowledged
         self._trial = 0  # samples that left by the new writer before it proved that they arrive
-        self._is_proven = False
-        self._is_doubted = False
+        self._is_proven = self._is_doubted = False
         self._draining: list[_Draining[W]] = []
         self._is_closed = False
-        self.begun = 0
+        self.begun = self.failed = 0
         self.last: SwapRecord | None = None
         self._seconds: defaultdict[str, float] = defaultdict(float)  # in each state of the swap under way
         self._entered_s = -math.inf
         self.loss_ratio: float | None = None
         self.state = SwapState.IDLE
-
-    @property
-    def current(self) -> W:
-        """Writer by which samples leave."""
-        if self.state is SwapState.PROVING:
-            assert self._next is not None
-            return self._next
-        return self._current
 
     @property
     def writers(self) -> list[W]:
@@ -138,14 +112,7 @@ class WriterSwap(Generic[W]):
     @property
     def is_busy(self) -> bool:
         """True while `step` has anything to do."""
-        return self.state is not SwapState.IDLE or self._wanted is not None or bool(self._draining)
-
-    @property
-    def awaits_silence(self) -> bool:
-        """True while `step` should be called just before a sample leaves."""
-        if self.state is SwapState.IDLE:
-            return False  # the usual case, and every sample asks
-        return self.state in {SwapState.WATCHING, SwapState.HOLDING, SwapState.PROVING}
+        return self.state is not SwapState.IDLE or self._wanted is not None or bool(self._draining or self.held)
 
     @property
     def is_holding(self) -> bool:
@@ -155,58 +122,115 @@ class WriterSwap(Generic[W]):
         # So many samples may leave by the new writer before it proved itself; its history keeps them.
         return self._trial >= max(1, min(self._qos.depth, self._next_qos.depth) // 2)
 
-    @property
-    def poll_s(self) -> float:
-        """Time until `step` should be called again (s)."""
+    def due_s(self, now_s: float) -> float:
+        """Return when `step` should be called again, inf = not before a request (s)."""
+        if not self.is_busy:
+            return math.inf
         if self.is_holding:
-            return 0.002  # samples wait for it
-        if self.state is not SwapState.MATCHING:
-            return 0.1
-        # Each call costs a wakeup: one every 50 ms took 35 ms of CPU per swap on an idle topic.
-        return min(0.05 if self._is_link_clean else 0.2, self._timing.settle_s / 4.0)
+            return now_s + 0.002  # samples wait for it
+        poll_s = 0.1
+        if self.state is SwapState.MATCHING:
+            # Each call costs a wakeup: one every 50 ms took 35 ms of CPU per swap on an idle topic.
+            poll_s = min(0.05 if self._is_link_clean else 0.2, self._timing.settle_s / 4.0)
+        return min(now_s + poll_s, max(now_s, self._release_s)) if self.held else now_s + poll_s
 
     def request(self, qos: WriterQos) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
-        if self._is_closed:
-            return
-        target = self._next_qos if self._next is not None else self._qos
-        self._wanted = None if qos == target else qos
+        with self.lock:
+            if not self._is_closed:
+                target = self._next_qos if self._next is not None else self._qos
+                self._wanted = None if qos == target else qos
 
-    def wrote(self, now_s: float) -> None:
-        """Note that `current` wrote a sample."""
-        if self.state is SwapState.PROVING:
-            self._trial += 1
-            self._since_s = now_s
+    def write(self, sample: bytes) -> None:
+        """Write a sample, or hold it while a swap says so or others are held; may block on a full link."""
+        if self.held or self._awaits_silence:
+            self._hold(sample, self._clock())
+            return
+        try:  # the usual case
+            self.current.publish(sample)
+        except Exception:
+            self.failed += 1  # it reached no reader
+            raise
 
     def step(self, now_s: float) -> None:
-        """Move on as far as the writers allow; never blocks."""
-        self._retire(now_s)
-        if self._wanted is not None and self._may_begin(self._wanted):
-            self._begin(self._wanted, now_s)
-        if self.state is SwapState.MATCHING:
-            self._match(now_s)
-        if self.state in {SwapState.WATCHING, SwapState.HOLDING}:
-            self._watch(now_s)
-        if self.state is SwapState.PROVING:
-            self._prove(now_s)
-        if self.state is SwapState.DOUBTING:
-            self._doubt(now_s)
+        """Move on as far as the writers allow, and write what was held and may leave."""
+        self._move(now_s)
+        self._release(now_s)
+
+    def rest(self) -> list[bytes]:
+        """Take the samples that are held."""
+        rest = [sample for sample, _ in self.held]
+        self.held.clear()
+        return rest
+
+    def deadlines_missed(self) -> int:
+        """Count the offered deadlines that the writers missed, each while it was in force."""
+        return self._missed + self.current.deadlines_missed()
 
     def is_acknowledged(self) -> bool:
-        """Return whether no reader waits for a sample of any writer."""
-        return all(map(_is_served, self.writers))
+        """Return whether no sample is held, and no reader waits for one."""
+        with self.lock:
+            return not self.held and all(map(_is_served, self.writers))
 
     def close(self) -> None:
         """Destroy every writer, even when one of them raises; nothing happens after that."""
-        if self._is_closed:
-            return
-        self._is_closed, self._wanted = True, None
-        draining, self._draining = self._draining, []
-        with ExitStack() as stack:
+        with self.lock, ExitStack() as stack:
+            if self._is_closed:
+                return
+            self._is_closed, self._wanted = True, None
+            draining, self._draining = self._draining, []
             stack.callback(self._current.destroy)
             for old in draining:
                 stack.callback(old.writer.destroy)
             self._abandon_next()
+
+    def _hold(self, sample: bytes, now_s: float) -> None:
+        if not self.held:
+            self._release_s = now_s
+        self.held.append((sample, now_s))
+        if self._awaits_silence:  # the sample before is most likely acknowledged just now, so most swaps hold none
+            self._move(now_s)
+        self._release(now_s)
+        if self.held:
+            self._on_held()
+
+    def _release(self, now_s: float) -> None:
+        while self.held and not self.is_holding and self._release_s <= now_s:
+            sample, came_s = self.held.popleft()
+            if self.held:
+                spacing_s = (self.held[0][1] - came_s) / 2.0
+                late_s = (self._timing.burst - 1) * spacing_s
+                self._release_s = max(self._release_s, now_s - late_s) + spacing_s
+            try:
+                self.current.publish(sample)
+            except Exception:
+                self.failed += 1
+                raise
+            now_s = self._clock()
+            if self.state is SwapState.PROVING:
+                self._trial += 1
+                self._since_s = now_s
+            if self._awaits_silence and self.held:
+                self._move(now_s)
+
+    def _move(self, now_s: float) -> None:
+        with self.lock:
+            before = self.current
+            try:
+                self._retire(now_s)
+                if self._wanted is not None and self._may_begin(self._wanted):
+                    self._begin(self._wanted, now_s)
+                if self.state is SwapState.MATCHING:
+                    self._match(now_s)
+                if self.state in {SwapState.WATCHING, SwapState.HOLDING}:
+                    self._watch(now_s)
+                if self.state is SwapState.PROVING:
+                    self._prove(now_s)
+                if self.state is SwapState.DOUBTING:
+                    self._doubt(now_s)
+            finally:
+                if self.current is not before:
+                    self._missed += before.deadlines_missed() - self.current.deadlines_missed()
 
     def _may_begin(self, qos: WriterQos) -> bool:
         if self._next is None:
@@ -231,7 +255,6 @@ class WriterSwap(Generic[W]):
         self._next_qos = qos
         self._enter(SwapState.MATCHING, now_s)
         self._created_s = self._readers_since_s = now_s
-        self._patient_until_s = now_s + self._settle_s + self._timing.patience_s
         self._readers = (0, 0)
         self._watch_s = self._timing.watch_s
         self._trial = 0
@@ -242,6 +265,8 @@ class WriterSwap(Generic[W]):
             # Two threads read the clock before they take the lock, so a later time may arrive first.
             self._seconds[self.state.value] += max(0.0, now_s - self._entered_s)
         self.state, self._since_s, self._entered_s = state, now_s, max(now_s, self._entered_s)
+        self._awaits_silence = state in {SwapState.WATCHING, SwapState.HOLDING, SwapState.PROVING}
+        self.current = self._next if self._next is not None and state is SwapState.PROVING else self._current
 
     def _finish(self, result: SwapResult, qos: WriterQos) -> None:
         self.last = SwapRecord(
@@ -280,7 +305,7 @@ class WriterSwap(Generic[W]):
             return
         elapsed_s = now_s - self._since_s
         self._is_late = not _is_served(self._current)
-        if self._is_late and now_s < self._patient_until_s:
+        if self._is_late and now_s < self._created_s + self._settle_s + self._timing.patience_s:
             if self.state is SwapState.WATCHING and elapsed_s >= self._watch_s:
                 self._enter(SwapState.HOLDING, now_s)
             elif self.state is SwapState.HOLDING and elapsed_s >= self._timing.hold_s:
@@ -363,6 +388,7 @@ class WriterSwap(Generic[W]):
 
     def _abandon_next(self) -> None:
         abandoned, self._next, self.state = self._next, None, SwapState.IDLE
+        self.current, self._awaits_silence = self._current, False
         if abandoned is not None:
             abandoned.destroy()
 

@@ -176,7 +176,7 @@ class SimulatedPublisher(SimulatedSource):
 
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan: pacing changes now, depth and deadline with a writer swap."""
-        self._flow.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self._flow.swap.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self._thread.retune(self._flow.lane, plan, self._flow.lane.price)
         self._service()
 

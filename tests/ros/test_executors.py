@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.endpoint.writer_swap import SwapTiming
+from arpd.model.endpoints import SwapTiming
 from tests.ros.world import DOMAIN, Ros, retune
 
 EXECUTORS = [SingleThreadedExecutor, MultiThreadedExecutor, EventsExecutor]

@@ -75,7 +75,7 @@ class Ghost:
 
     @property
     def held(self):
-        return len(self.writer._held)
+        return len(self.writer._swap.held)
 
     @property
     def is_busy(self):

@@ -9,8 +9,7 @@ import pytest
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.endpoint.writer_swap import SwapTiming
-from arpd.model.endpoints import RefusalReason
+from arpd.model.endpoints import RefusalReason, SwapTiming
 from arpd.ros import graph
 from arpd.ros.graph_view import GraphView
 from arpd.ros.rmw import Rmw, current_rmw

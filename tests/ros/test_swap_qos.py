@@ -12,7 +12,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSLivelinessPolicy, QoSProfile, QoSR
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
-from arpd.endpoint.writer_swap import SwapTiming
+from arpd.model.endpoints import SwapTiming
 from tests.ros.world import FREE, retune
 
 TOPIC = "/kept"
@@ -162,7 +162,7 @@ def test_a_swap_knows_whether_its_readers_acknowledge_and_what_the_link_loses(
         node.create_subscription(String, TOPIC, lambda _message: None, profile)
     publisher = make(ros.node("talker"), qos[writes])
     publisher.set_price(replace(FREE, loss_ratio=0.25))
-    publisher._flow._step(0.0)
+    publisher._flow.service(0.0)
     assert publisher._flow.swap.loss_ratio == 0.25
     eventually("both readers match", lambda: publisher.get_subscription_count() == 2)
     eventually("the graph shows both", lambda: len(publisher._requests.names()) == 2)

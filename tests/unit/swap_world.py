@@ -55,6 +55,7 @@ class World:
         self.writers = []
         self.results = []
         self.results_of = []  # the QoS that each result is of
+        self.now_s = 0.0
         self.log = []  # what was written, by whichever writer
 
     def create(self, qos):
@@ -74,7 +75,8 @@ class World:
 
 def make(timing=None):
     world = World()
-    return world, WriterSwap(create=world.create, on_result=world.note, qos=FIRST, timing=timing)
+    swap = WriterSwap(create=world.create, on_result=world.note, qos=FIRST, clock=lambda: world.now_s, timing=timing)
+    return world, swap
 
 
 def qos(depth):

@@ -18,8 +18,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 
 from arpd.endpoint.writer import RosWriter, swap_failure
-from arpd.endpoint.writer_swap import SwapTiming, WriterSwap
-from arpd.model.endpoints import SwapResult, WriterQos
+from arpd.endpoint.writer_swap import WriterSwap
+from arpd.model.endpoints import SwapResult, SwapTiming, WriterQos
 from arpd.ros.graph import Requests, policies_of
 
 if TYPE_CHECKING:
@@ -32,12 +32,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _MATCH_S = 0.5  # a reader on this host finds a new writer sooner
-_MOST_HELD = 1000
-# Samples that a swap held leave at twice their rate or a little faster; a burst would push others out of a reader's
-# small history.
-_PER_WRITE, _PER_STEP = 2, 5
-# A writer whose reader stands still is never acknowledged. It stays until it is: a plan here is in no hurry.
-_TIMING = SwapTiming(patience_s=math.inf)
+_MOST_EARLY = 1000
+# A writer whose reader stands still is never acknowledged. It stays until it is: a plan here is in no hurry. Where the
+# original is silent only the steps write what was held, ten times a second.
+_TIMING = SwapTiming(patience_s=math.inf, burst=5)
 _ASK_AGAIN_S = 60.0  # a refused swap, or a reader that has left, changes what can be in force
 NO_PLAN = WriterQos(depth=0, deadline_ns=0)
 _NO_TYPE_DESCRIPTION = Parameter("start_type_description_service", value=False)
@@ -121,13 +119,15 @@ class GhostWriter:
         self._planned = NO_PLAN if offer.is_latched else planned
         self._requests = Requests(node, topic)
         # The lock of `Incoming` lets one thread write.
-        self._swap = WriterSwap(create=self._create, on_result=self._on_result, qos=self._wanted(), timing=_TIMING)
+        self._swap = WriterSwap(
+            create=self._create, on_result=self._on_result, qos=self._wanted(), clock=time.monotonic, timing=_TIMING
+        )
         self._swap.loss_ratio = 0.0  # its readers are on this host
         self.due_s = math.inf if self._planned == NO_PLAN else time.monotonic()  # when to `swap`
         self._refusal = ""
         self._made_s = time.monotonic()
         self._is_found = False
-        self._held: deque[bytes] = deque(maxlen=_MOST_HELD)
+        self._early: deque[bytes] = deque(maxlen=_MOST_EARLY)
         self._last = 0  # number of the newest sample
         self.gone_s = math.inf  # when the original was missed first
 
@@ -140,13 +140,11 @@ class GhostWriter:
         if record.sequence <= self._last:
             return False
         self._last = record.sequence
-        if self._is_found and not self._held and not self._swap.awaits_silence:  # the usual case
-            self._swap.current.publish(record.sample)
-            return True
-        self._held.append(record.sample)
-        if self._swap.awaits_silence:  # the sample before is most likely acknowledged just now
-            self._swap.step(time.monotonic())
-        self._release(_PER_WRITE)
+        if self._is_found:
+            self._swap.write(record.sample)
+        else:
+            self._early.append(record.sample)
+            self._look()
         return True
 
     def follow(self, offer: WriterOffer, planned: WriterQos) -> None:
@@ -174,23 +172,20 @@ class GhostWriter:
         if self.offer.is_alive and is_reachable:
             for writer in self._swap.writers:
                 writer.publisher.assert_liveliness()
+        if not self._is_found:
+            self._look()
         if self._swap.is_busy:
             self._swap.step(time.monotonic())
-        self._release(_PER_STEP)
 
     def destroy(self) -> None:
         """Destroy the writer."""
         self._swap.close()
 
-    def _release(self, most: int) -> None:
-        """Write the samples that it holds, all at once when its readers have just found it."""
-        if not self._is_found:
-            self._is_found = self.matched() > 0 or time.monotonic() - self._made_s > _MATCH_S
-            most = _MOST_HELD if self._is_found else 0
-        while most and self._held and not self._swap.is_holding:
-            most -= 1
-            self._swap.current.publish(self._held.popleft())
-            self._swap.wrote(time.monotonic())
+    def _look(self) -> None:
+        """Write the first samples, all at once, when its readers have found it."""
+        self._is_found = self.matched() > 0 or time.monotonic() - self._made_s > _MATCH_S
+        while self._is_found and self._early:
+            self._swap.write(self._early.popleft())
 
     def _wanted(self) -> WriterQos:
         deadlines = [ns for ns in (self._planned.deadline_ns, self.offer.deadline_ns) if ns]

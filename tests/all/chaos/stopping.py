@@ -10,6 +10,7 @@ import time
 from collections import defaultdict
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from arpd.endpoint.writer import RosWriter
@@ -37,11 +38,16 @@ class Stops:
         self._looking = threading.local()
 
     def install(self):
-        step, wrote, is_acknowledged = WriterSwap.step, WriterSwap.wrote, RosWriter.is_acknowledged
-        WriterSwap.step = lambda swap, now_s, **options: self._on_step(
-            swap, now_s, lambda lagged_s: step(swap, lagged_s, **options)
-        )
-        WriterSwap.wrote = lambda swap, now_s: wrote(swap, now_s - self._lag_s[swap])
+        move, release, is_acknowledged = WriterSwap._move, WriterSwap._release, RosWriter.is_acknowledged
+
+        def release_late(swap, now_s):
+            before = swap._since_s
+            release(swap, now_s)
+            if swap.state is SwapState.PROVING and swap._trial and swap._since_s != before:
+                swap._since_s -= self._lag_s[swap]
+
+        WriterSwap._move = lambda swap, now_s: self._on_move(swap, now_s, partial(move, swap))
+        WriterSwap._release = release_late
         RosWriter.is_acknowledged = lambda writer: not self._is_hidden(writer) and is_acknowledged(writer)
 
     def release(self):
@@ -51,7 +57,7 @@ class Stops:
                 self._lag_s[swap] += time.monotonic() - since_s
             self._stopped = {}
 
-    def _on_step(self, swap, now_s, step):
+    def _on_move(self, swap, now_s, move):
         with self._lock:
             if swap in self._stopped:
                 return
@@ -59,11 +65,11 @@ class Stops:
             topic = swap.current.publisher.topic_name
             where = self.wanted.get(topic)
         if where is None:
-            step(now_s)
+            move(now_s)
             return
         self._looking.at = (swap, swap.state, where)
         try:
-            step(now_s)
+            move(now_s)
         finally:
             self._looking.at = None
         with self._lock:

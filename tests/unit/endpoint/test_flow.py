@@ -59,7 +59,7 @@ class World(swap_world.World):
 
     def retune(self, **changes):
         plan = replace(self.flow.lane.plan, **changes)
-        self.flow.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
+        self.flow.swap.request(WriterQos(depth=plan.depth, deadline_ns=plan.deadline_ns))
         self.queue.retune(self.flow.lane, plan, self.price)
 
     def set_price(self, price):

@@ -2,8 +2,7 @@
 
 import pytest
 
-from arpd.endpoint.writer_swap import SwapTiming
-from arpd.model.endpoints import SwapResult, SwapState
+from arpd.model.endpoints import SwapResult, SwapState, SwapTiming
 from tests.unit.swap_world import FIRST, make, qos
 
 TIMING = SwapTiming()
@@ -18,9 +17,9 @@ def run(swap, start_s, seconds, *, publishing=False):
     return start_s + seconds
 
 
-def publish(swap, now_s):
-    swap.current.publish("sample")
-    swap.wrote(now_s)
+def publish(swap, now_s, sample="sample"):
+    swap._clock = lambda: now_s
+    swap.write(sample)
 
 
 def acknowledge(world, *, is_acknowledging=True):
@@ -82,6 +81,41 @@ def test_patience_ends_and_the_old_writer_drains_beside():
     run(swap, now_s, TIMING.drain_s + 0.01)
     assert world.live == [swap.current]
     assert world.results[-1] is SwapResult.UNDELIVERED
+
+
+def test_what_was_held_leaves_at_twice_the_rate_at_which_it_came():
+    """Without a burst, and also when no other sample follows: the last command of a robot may be among them."""
+    world, swap = make()
+    now_s, held_s, left_s = settled(world, swap) + TIMING.watch_s, [], []
+    while (number := len(held_s)) < 25:
+        publish(swap, now_s, sample=number)
+        held_s.append(now_s)
+        now_s += 0.01
+    assert swap.is_holding
+    while len(left_s) < len(held_s):
+        before = len(world.log)
+        swap.step(now_s := now_s + 0.001)
+        left_s += [now_s] * (len(world.log) - before)
+        assert len(world.log) - before <= TIMING.burst
+    assert world.log == list(range(25))
+    assert left_s[-1] - left_s[0] == pytest.approx((held_s[-1] - held_s[0]) / 2.0, abs=0.02)
+
+
+def test_patience_is_counted_by_what_the_readers_of_this_swap_can_prove():
+    """On a clean link it begins after the longer settle time if a reader has come that acknowledges nothing."""
+    world, swap = make()
+    swap.loss_ratio = 0.0
+    swap.request(qos(2))
+    run(swap, 0.0, 1.0, publishing=True)
+    assert world.results == [SwapResult.OK]
+    world.has_reliable_readers = False
+    swap.request(qos(3))
+    swap.step(1.0)
+    acknowledge(world, is_acknowledging=False)
+    run(swap, 1.0, TIMING.clean_unproven_s + TIMING.patience_s - 0.02)
+    assert swap.current is world.writers[1]
+    run(swap, 1.0 + TIMING.clean_unproven_s + TIMING.patience_s, 0.02)
+    assert swap.current is world.writers[2]
 
 
 def proving(world, swap, wanted=None):
