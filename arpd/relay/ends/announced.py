@@ -31,9 +31,6 @@ class AnnouncedParticipants:
         try:
             self._socket = discovery_socket(domain_id)
             self._socket.settimeout(0.0)
-            for index, _name in socket.if_nameindex():
-                with suppress(OSError):  # down, or without an address
-                    join_discovery(self._socket, index)
         except OSError as error:
             log.warning("cannot listen for nodes that cross the link on their own: %s", error)
 
@@ -41,6 +38,9 @@ class AnnouncedParticipants:
         """Return the first 12 bytes of the GUIDs of those heard in the last minute, in hexadecimal digits."""
         if self._socket is None:
             return ()
+        for index, _name in socket.if_nameindex():  # some come later: a radio that is plugged in again has a new number
+            with suppress(OSError):  # joined already, down, or without an address
+                join_discovery(self._socket, index)
         now_s = time.monotonic()
         with suppress(OSError):  # nothing more has come
             for _ in range(_MOST):
