@@ -77,12 +77,15 @@ def test_a_clean_stop_restores_the_application_s_qos_and_its_rates_last():
 
 
 def test_a_clean_stop_gives_each_publisher_of_a_topic_its_own_qos_back():
-    """Several nodes may publish one topic, each with a history of its own; the plan has one row for all."""
+    """Several nodes may publish one topic, each with its own history; the plan has one row, with the fastest rate."""
     world = Robot()
-    world.publishers["other"] = replace(world.writer, node="/w2", baseline_depth=9000, baseline_deadline_ns=0)
+    other = replace(world.writer, node="/w2", baseline_depth=9000, baseline_deadline_ns=0, paced_rate_hz=5.0)
+    world.publishers["other"] = other
+    world.change(paced_rate_hz=8.0)
     assert restored(world) == 0
     writers = [(each.depth, each.deadline_ns, each.rate_hz) for each in world.publishers.values()]
     assert writers == [(10, 90 * MS, math.inf), (9000, 0, math.inf)]
+    assert world.sent[0][1][TOPIC].rate_hz == 8.0
 
 
 def test_a_clean_stop_gives_up_on_a_node_that_is_gone():

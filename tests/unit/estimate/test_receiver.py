@@ -4,7 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.estimate.receiver import BUSY_S, LONGEST_QUIET_S, PROMPT_S, QUIET_S, Arrival, Receiver, measure_train
+from arpd.estimate.receiver import (
+    BUSY_S,
+    LONGEST_QUIET_S,
+    PROMPT_S,
+    QUIET_S,
+    WORTH_BYTES,
+    Arrival,
+    Receiver,
+    measure_train,
+)
 from arpd.model.wire import probe_wire_bytes
 
 SIZE = 1200
@@ -125,3 +134,16 @@ def test_reports_are_as_rare_as_a_probe_asks(quiet_s, kept_s):
     while not receiver.look(at_s := receiver.due_s, None):
         pass
     assert at_s == pytest.approx(0.1 + kept_s)
+
+
+def test_a_report_has_what_the_interface_received_since_the_last_one():
+    """One that is not there yet, or is gone, has received nothing; what came meanwhile counts when it is back."""
+    receiver = Receiver("base", 0.0)
+    reports = [receiver.look(at_s, counted) for at_s, counted in ((0.3, (5000, 5)), (0.6, None), (0.9, (7000, 9)))]
+    assert [(report.rx_bytes, report.rx_packets) for report in reports] == [(0, 0), (0, 0), (2000, 4)]
+
+
+@pytest.mark.parametrize(("received", "is_told"), [(WORTH_BYTES - 1, False), (WORTH_BYTES, True)])
+def test_much_traffic_is_reported_though_no_ping_has_come(received, is_told):
+    """While a queue stands pings are late."""
+    assert (Receiver("base", 0.0, (0, 0)).look(BUSY_S, (received, 1)) is not None) is is_told

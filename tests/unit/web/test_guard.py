@@ -50,7 +50,7 @@ def test_who_guesses_waits_and_who_is_remembered_does_not(passwords, judge):
 
 
 def test_few_wait_for_bcrypt_and_one_runs():
-    """Further requests are refused, so that guesses cannot use up the connection limit."""
+    """Further requests are refused, so that guesses cannot use up the connection limit, and do not count as guesses."""
     finish, one_at_a_time = threading.Event(), threading.Lock()
     alone = []
 
@@ -66,10 +66,13 @@ def test_few_wait_for_bcrypt_and_one_runs():
         guesses = [asyncio.create_task(verdict(passwords, "alice", "x", f"{n}")) for n in range(MAX_WAITING + 3)]
         refused, waiting = await asyncio.wait(guesses, return_when=asyncio.FIRST_COMPLETED)
         finish.set()
-        return [await each for each in refused], [await each for each in waiting]
+        verdicts = [await each for each in refused], [await each for each in waiting]
+        return *verdicts, [await verdict(passwords, "alice", "x", f"{MAX_WAITING}") for _ in range(MOST_WRONG)]
 
-    assert asyncio.run(flood()) == ([PasswordVerdict.BUSY] * 3, [PasswordVerdict.WRONG] * MAX_WAITING)
-    assert alone == [True] * MAX_WAITING
+    busy, *wrong = asyncio.run(flood())
+    assert busy == [PasswordVerdict.BUSY] * 3
+    assert wrong == [[PasswordVerdict.WRONG] * MAX_WAITING, [PasswordVerdict.WRONG] * MOST_WRONG]
+    assert alone == [True] * (MAX_WAITING + MOST_WRONG)
 
 
 def test_whoever_has_many_addresses_counts_once():
