@@ -80,6 +80,7 @@ class WritingThread:
         self._is_deciding = False
         self._late: deque[Callable[[], object]] = deque()
         self._is_stopping = False
+        self._has_ended = False  # and written what waited: nobody paces what comes still
         self._next_s = 0.0  # when the thread wakes
         self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
         self.finished_s = clock()
@@ -236,7 +237,7 @@ class WritingThread:
 
     def _take_now(self, lane: Lane, message: bytes, now_s: float, source: Hashable) -> bytes | None:
         sample: bytes | None = message
-        if not self._queue.admit(lane, message, now_s):
+        if not (self._has_ended or self._queue.admit(lane, message, now_s)):
             self._queue.offer(lane, message, now_s, source=source)
             sample = self._queue.take_of(lane, now_s)
         if sample is not None:
@@ -303,6 +304,7 @@ class WritingThread:
         for turn in tuple(self._turns):
             with suppress(RuntimeError):  # RCLError is one
                 turn.finish()
+        self._has_ended = True
         atexit.unregister(self.stop)
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:

@@ -62,7 +62,11 @@ class Partner:
         speaking = [each for each in self._states if self._spoke(each, now_s, REPLACED_S)]
         if speaking and self._session not in speaking:
             self._session = max(speaking, key=lambda each: self._heard_s[each])
-        return self._states.get(self._session) if self._spoke(self._session, now_s, _GONE_S) else None
+        return self._states.get(self._session) if self.is_there(now_s) else None
+
+    def is_there(self, now_s: float) -> bool:
+        """Return whether the session in force spoke within the time of an outage that is bridged."""
+        return self._spoke(self._session, now_s, _GONE_S)
 
     def is_reachable(self, now_s: float) -> bool:
         """Return whether the session in force spoke lately."""

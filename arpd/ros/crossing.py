@@ -86,7 +86,9 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     Topics in ``first`` are read first, in case there are too many.
     """
     robot_host = view.own.host if rmw.tells_hosts else None
-    names = {off_link(name): name for name in view.types if is_full_name(name) and not is_internal(off_link(name))}
+    # What a relay carries comes last, in the place of what others have in the link's domain under that name.
+    full = sorted(filter(is_full_name, view.types), key=lambda name: off_link(name) != name)
+    names = {off_link(name): name for name in full if not is_internal(off_link(name))}
     topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
     hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
     crossings = {

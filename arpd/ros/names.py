@@ -32,13 +32,15 @@ def is_arpds(node: str) -> bool:
 
 
 def on_link(topic: str) -> str:
-    """Return the name in the link's domain of a topic that a relay with two ends carries."""
+    """Return the name in the link's domain of a topic that a relay with two ends carries; ValueError = too long."""
+    if len(topic) > (most := LONGEST_NAME - len(_ON_LINK)):
+        raise ValueError(f"its name has {len(topic)} characters, and no more than {most} cross")
     return _ON_LINK + topic
 
 
 def off_link(name: str) -> str:
     """Return the topic of a name in the link's domain; other names stay as they are."""
-    return name.removeprefix(_ON_LINK)
+    return name.removeprefix(_ON_LINK) if name.startswith(f"{_ON_LINK}/") else name
 
 
 def checked_full_name(name: str) -> str:

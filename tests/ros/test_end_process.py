@@ -104,6 +104,32 @@ def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fa
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
 
 
+class Another(Stranger):
+    session = 2
+
+
+def test_an_end_that_was_held_up_stays_with_the_other_one(ros, monkeypatch, eventually):
+    """Of two ends that speak it does not take the one whose sign of life happened to be its last before the pause."""
+    now_s = [100.0]
+    monkeypatch.setattr("arpd.relay.ends.end.lasting_s", lambda: now_s[0])
+    nodes, others = [ros.elsewhere(domain).idle_node("end") for domain in (ROBOT, LINK)], ros.elsewhere(LINK)
+    settings = RelaySettings(link_domain=LINK, robot="127.0.0.1")
+    with closing(End(*nodes, settings, is_far=False, on_change=lambda _status: None)) as end:
+        first = Stranger(others.node("first"), host="first")
+        eventually("it follows the first", lambda: first.live() or end.tick() or end._there.session == 1)
+        time.sleep(0.2)
+        end.tick()  # its last sign of life was now
+        now_s[0] += 0.6
+        second = Another(others.node("second"), host="second")
+        eventually("it knows the second", lambda: end.tick() or end._partner.others(now_s[0]) == ["second"])
+        now_s[0] += 1.2
+        for each in (first, second):
+            each.live()
+        eventually("both have spoken", lambda: {1, 2} <= {*end._arrived})
+        end.tick()
+        assert end._there.session == 1
+
+
 def test_an_end_that_slept_sends_its_histories_again(ros, monkeypatch, eventually):
     """The other end took that for an outage, and has forgotten what it got; late readers there would lack the map."""
     monkeypatch.setattr("arpd.relay.partner._GONE_S", 1.0)

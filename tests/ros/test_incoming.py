@@ -33,10 +33,10 @@ class World:
         self.written.append(record.sequence)
         return True
 
-    def tell(self, lifespan_ns=0):
+    def tell(self, lifespan_ns=0, link_name="/cmd_vel"):
         """Let the state of the other end come."""
         writers = (WriterOffer(node="/joystick", gid=GID, lifespan_ns=lifespan_ns),)
-        offer = TopicOffer(type_name="std_msgs/msg/String", writers=writers, link_name="/cmd_vel")
+        offer = TopicOffer(type_name="std_msgs/msg/String", writers=writers, link_name=link_name)
         self.incoming.follow({"/cmd_vel": offer}, lambda _topic, _offer: "")
 
     def send(self, *, age_s):
@@ -55,6 +55,14 @@ def world(monkeypatch):
     world = World()
     monkeypatch.setattr("arpd.relay.ends.incoming.time", SimpleNamespace(monotonic=lambda: world.now_s))
     return world
+
+
+def test_a_name_that_is_too_long_for_the_link_is_refused(world):
+    """Nobody could make a writer of that name there; the reason says how long a name may be."""
+    world.tell(link_name=f"/{236 * 'x'}")
+    assert not world.incoming.refused
+    world.tell(link_name=f"/{237 * 'x'}")
+    assert world.incoming.refused == {"/cmd_vel": "its name has 238 characters, and no more than 237 cross"}
 
 
 def test_of_what_an_outage_delayed_the_newest_is_delivered_and_a_fresh_one_replaces_it(world):

@@ -180,9 +180,10 @@ class End:
         """Follow the graph and the other end; call it ten times a second."""
         now_s = lasting_s()
         # Before it hears what came since: while this computer slept, the other end has forgotten it.
-        was_there = self._partner.look(now_s)
+        was_there = self._partner.is_there(now_s)
         self._hear(now_s)
-        there, is_due = (was_there and self._partner.look(now_s)) or NOBODY, now_s >= self._look_s
+        state = self._partner.look(now_s)
+        there, is_due = (was_there and state) or NOBODY, now_s >= self._look_s
         if is_due:
             self._look_s = now_s + _LOOK_S
             self.outgoing.look()

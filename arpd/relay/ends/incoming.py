@@ -17,7 +17,7 @@ from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
-from arpd.ros.names import checked_full_name, on_link
+from arpd.ros.names import on_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -106,7 +106,7 @@ class Incoming:
                     ghost.writer.gone_s = min(ghost.writer.gone_s, now_s)
             for name, kind in kinds.items():
                 try:
-                    checked_full_name(on_link(offers[name].link_name))
+                    on_link(offers[name].link_name)  # else nobody could send it
                     for writer in offers[name].writers:
                         self._follow(name, offers[name], writer, kind)
                 except (NameValidationException, RuntimeError, ValueError) as fault:

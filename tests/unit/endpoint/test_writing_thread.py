@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 
@@ -146,6 +147,20 @@ def test_who_destroys_a_publisher_in_the_middle_of_a_decision_waits_for_no_write
     thread.offer(lane, b"c")
     eventually("the thread goes on", lambda: written[-1] == b"c")
     thread.stop()
+
+
+def test_who_publishes_after_the_end_waits_for_nobody():
+    """A function of `atexit` may stop the robot when the thread has ended, and no thread would write what waits."""
+    thread, written = make(), []
+    thread.add(lane := Lane(written.append))
+    thread.retune(lane, replace(lane.plan, rate_hz=1e-3), None)
+    thread.start()
+    for sample in (b"go", b"go", b"go", b"wait"):
+        thread.publish(lane, sample)
+    thread.stop()
+    before = len(written)
+    thread.publish(lane, b"stop")
+    assert written[before:] == [b"stop"]
 
 
 def test_what_fails_in_a_shutdown_is_no_fault():

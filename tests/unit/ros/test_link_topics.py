@@ -6,9 +6,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from arpd.model.endpoints import Direction
+from arpd.ros.crossing import read_graph
 from arpd.ros.graph import Endpoint
 from arpd.ros.graph_view import ON_EVERY_NODE
 from arpd.ros.link_topics import LinkGraph, cannot_tell_hosts
+from arpd.ros.names import on_link
 from arpd.ros.rmw import Rmw
 
 OWN, ROBOT, RELAY, BEYOND = (bytes([place, 1, host, *[1] * 13]) for place, host in enumerate((1, 1, 1, 2)))
@@ -72,3 +75,18 @@ def test_without_hosts_nothing_is_measured_and_the_reason_is_told():
     assert all(found({"/fast": ([LIDAR], [])}, rmw=other)[1].values())
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in cannot_tell_hosts(other)
     assert not cannot_tell_hosts(other, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+
+
+def test_the_daemon_knows_a_topic_of_two_ends_by_its_name_on_the_robot():
+    """Whatever a stranger reads in the link's domain by that name; and a name that only begins alike is none."""
+    end = Endpoint(gid=RELAY, node="/arpd_relay")
+    topics = {on_link("/map"): ([end], [PLANNER]), "/map": ([], [LIDAR]), "/arpd/linked": ([end], [PLANNER])}
+    view = SimpleNamespace(
+        own=Endpoint(gid=OWN, node="/arpd"),
+        types=topics,
+        writers=lambda name: topics.get(name, ((), ()))[0],
+        readers=lambda name: topics.get(name, ((), ()))[1],
+    )
+    (crossing,) = (crossings := read_graph(view, MIDDLEWARE).crossings).values()
+    assert [*crossings] == ["/map"]
+    assert (crossing.writers, crossing.direction) == ({"/arpd_relay"}, Direction.SENSING)
