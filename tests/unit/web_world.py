@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from arpd.model.settings import HttpSettings
 from arpd.report.history import History
 from arpd.web.server import HttpServer
+from tests.waiting import eventually
 
 HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
 PASSWORD = "correct horse"
@@ -83,6 +84,7 @@ def running(folder=None, text=None, **options):
         options["directory"] = folder
     server = server_of(http, **options)
     with server.up():
+        eventually("it listens", lambda: server.port)
         yield Running(server)
 
 
