@@ -333,9 +333,9 @@ class Lane:
             deadline_ns=plan.deadline_ns,
         )
 
-    def close(self) -> None:
+    def close(self, cause: WithheldCause = WithheldCause.CLOSED) -> None:
         """Withhold all that waits."""
-        self.withheld[WithheldCause.CLOSED.value] += len(self) + (self.current is not None)
+        self.withheld[cause.value] += len(self) + (self.current is not None)
         self._lines.clear()
         self.current = None
 

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.endpoint.lane import SMALL_BYTES
+from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, HEARTBEAT_S, wire_size
 
 if TYPE_CHECKING:
@@ -120,9 +121,23 @@ class PacedQueue:
         self._settle(now_s)
         while (chosen := self._choose(now_s)) is not None:
             lane, is_first = chosen
-            if (ready := self._leave(lane, now_s, is_first=is_first)) is not None:
+            try:
+                ready = self._leave(lane, now_s, is_first=is_first)
+            except Exception:
+                self._give_up(lane)
+                raise
+            if ready is not None:
                 return ready
         return None
+
+    def drop_faulty(self, now_s: float) -> None:
+        """Withhold what waits of the lanes that raise when they are asked: no other one would have its turn."""
+        for lane in tuple(self._active):
+            try:
+                _ = lane.first_s(now_s), lane.spare_s(now_s), lane.is_behind(now_s), lane.link_share
+                _ = lane.left_bytes / lane.weight
+            except Exception:  # noqa: BLE001 - whatever it is, it must not stop the others
+                self._give_up(lane)
 
     def admit(self, lane: Lane, message: bytes, now_s: float) -> bool:
         """Let a small message pass at once where nothing keeps it; return whether it did, and then counts as sent.
@@ -209,6 +224,11 @@ class PacedQueue:
         """Return the virtual time at which the message of a lane ends, or so far of the rest that others may wait."""
         capacity = 0.0 if self._price is None else self._price.capacity_bytes_per_second
         return lane.start + min(_AHEAD * lane.left_bytes, _UNBROKEN_S * capacity) / lane.weight
+
+    def _give_up(self, lane: Lane) -> None:
+        lane.close(WithheldCause.FAILED)
+        self.remove(lane)
+        self.add(lane)
 
     def _leave(self, lane: Lane, now_s: float, *, is_first: bool) -> Ready | None:
         sample = self._begin(lane, now_s, is_first=is_first)

@@ -281,21 +281,17 @@ class WritingThread:
         if self._is_deciding:
             return  # its end wakes the thread
         if self._queue.is_waiting and self._next_s > (now_s := self._clock()) + SOON_S:
-            self._wake(self._decide(lambda: self._queue.due_s(now_s)) or 0.0)
+            try:
+                due_s = self._decide(lambda: self._queue.due_s(now_s)) or 0.0
+            except Exception:  # noqa: BLE001 - of any lane; the thread meets it, too, and says it
+                due_s = 0.0
+            self._wake(due_s)
 
     def _run(self) -> None:
         while not self._is_stopping and self._is_alive():
-            with self._lock:
-                act = self._decide(lambda: self._choose(self._clock()))
-                if act is None:
-                    now_s = self.finished_s = self._clock()
-                    self._decide(self._set_next)
-                    if self._next_s > now_s and not self._is_stopping:  # `stop` may have come since
-                        self._changed.wait(self._next_s - now_s)
-                    self._next_s = 0.0  # nobody need wake a thread that is awake
-                    continue
             try:
-                act()
+                if (act := self._next()) is not None:
+                    act()
             except InvalidHandle:
                 continue  # what it was for has just been destroyed
             except Exception as error:  # noqa: BLE001 - as above
@@ -306,6 +302,23 @@ class WritingThread:
                 turn.finish()
         self._has_ended = True
         atexit.unregister(self.stop)
+
+    def _next(self) -> Callable[[], object] | None:
+        """Return what to do now; if nothing is due, wait."""
+        with self._lock:
+            try:
+                if (act := self._decide(lambda: self._choose(self._clock()))) is not None:
+                    return act
+                self.finished_s = self._clock()
+                self._decide(self._set_next)
+            except Exception:
+                self._decide(lambda: self._queue.drop_faulty(self._clock()))
+                self._changed.wait(_RETRY_S)  # where it is the fault of no lane
+                raise
+            if self._next_s > self.finished_s and not self._is_stopping:  # `stop` may have come since
+                self._changed.wait(self._next_s - self.finished_s)
+            self._next_s = 0.0  # nobody need wake a thread that is awake
+            return None
 
     def _choose(self, now_s: float) -> Callable[[], object] | None:
         """Return what to do now, None if nothing is due."""

@@ -152,7 +152,8 @@ class Outlet:
         fault = function(pointer, self._reference, None)
         message.buffer = None  # a sample may be large
         if fault:
-            raise rclpy_implementation.RCLError(f"Failed to publish: {self._rcl.error()}")
+            words = self._rcl.error()
+            raise rclpy_implementation.RCLError(f"{self._handle.get_topic_name()}: Failed to publish: {words}")
 
 
 @cache

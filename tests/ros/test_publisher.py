@@ -233,7 +233,9 @@ def test_its_node_destroys_it_as_any_publisher(node, publisher):
         publisher.publish(String())
     other = AdaptivePublisher(node, String, TOPIC, 99)
     node.context.shutdown()
-    with pytest.raises(rclpy_implementation.RCLError, match="Failed to publish: publisher's context is invalid"):
+    with pytest.raises(
+        rclpy_implementation.RCLError, match=f"{TOPIC}: Failed to publish: publisher's context is invalid"
+    ):
         other.publish(String())
 
 

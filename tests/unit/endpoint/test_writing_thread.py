@@ -14,6 +14,7 @@ from arpd.endpoint import writing_thread
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
+from arpd.model.endpoints import WithheldCause
 from arpd.model.price import Price
 from arpd.ros.rcl import InvalidHandle
 from tests.waiting import eventually
@@ -180,6 +181,35 @@ def test_what_fails_in_a_shutdown_is_no_fault():
         eventually("it fails", lambda sample=sample: failed[-1:] == [sample])
     eventually("the thread ends", lambda: not thread._thread.is_alive())
     assert said == ["b'before' fails; the next sample follows (logged once a minute)"]
+
+
+@pytest.mark.parametrize("faulty", ["first_s", "is_behind", "begin", "due_s"])
+def test_a_lane_that_fails_at_its_turn_costs_no_other(monkeypatch, faulty):
+    """What waits of a topic that cannot tell its turn is withheld, and said; all others go on, and it does later."""
+    written, said = [], []
+    thread = make(said.append)
+    bad, good = Lane(written.append), Lane(written.append)
+
+    def fail(*_arguments):
+        raise ZeroDivisionError("no rate")
+
+    for lane in (bad, good):
+        thread.add(lane)
+        thread.retune(lane, lane.plan, Price(share_per_weight=math.inf, capacity_bytes_per_second=1e9))
+    for lane in (bad, good):
+        thread._queue.offer(lane, LARGE + b"1", 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(bad, faulty, fail)
+        thread.start()
+        eventually("the other one leaves", lambda: written == [LARGE + b"1"])
+        eventually("that is said", lambda: said)
+        thread.publish(good, b"2")
+        eventually("the caller goes on", lambda: written[-1] == b"2")
+    thread.publish(bad, b"3")
+    eventually("it goes on, too", lambda: written[-1] == b"3")
+    assert said == ["no rate; the next sample follows (logged once a minute)"]
+    assert +bad.withheld == {WithheldCause.FAILED: 1}
+    thread.stop()
 
 
 def test_a_context_that_shuts_down_can_stop_it():
