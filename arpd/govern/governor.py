@@ -12,10 +12,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from arpd.govern.plan import Move, Wanted
+from arpd.govern.progress import is_confirmed
 from arpd.govern.swaps import SwapBudget, swap_costs
 from arpd.model.allocation import Allocation, Binding, Decision, Topic
+from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
-from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan
+from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan, is_kept, own_qos
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -52,6 +54,9 @@ class Governor:
 
     def _begin(self) -> None:
         self.plan = QosPlan()
+        self._planned: Mapping[str, TopicPlan] = {}  # rows of the plan, without those of topics given back
+        self._given_back: dict[str, TopicPlan] = {}
+        self._left: dict[str, tuple[float, TopicPlan]] = {}  # topics to give back: since when (s), and their last terms
         self._crowd: object = None  # topics that there are, and since when they have been the same (s)
         self._same_since_s, self._differs_since_s = -math.inf, math.inf
         self._sharing = 0  # topics on the link that the plan was made for, under the uniform policy
@@ -92,21 +97,65 @@ class Governor:
         lasting : division of the budget that holds most of the time; its periods become deadlines
         participants : processes across the link, which hear of each swap
         """
-        cause, self._is_postponed = "", False
-        if lasting.topics:
-            self._now_s, self._lasting, self._topics = now_s, lasting, topics
-            planned, others = self.plan.topics, [each for each in publishers if each.topic not in self.plan.topics]
+        self._now_s, self._lasting, self._topics, self._is_postponed = now_s, lasting, topics, False
+        self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
+        self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
+        if lasting.topics or self.plan.generation:
+            self._swaps.fill(now_s, lasting.budget_bytes_per_second)
+        cause = self._give_back(state, publishers)
+        if lasting.topics and not cause:
+            planned, others = self._planned, [each for each in publishers if each.topic not in self._planned]
             self._in_force = {**_rows_in_force(others), **planned}
             # After a restart the rows of the predecessor count as the previous plan.
             previous = {**_rows_in_force(other for other in others if other.generation > 0), **planned}
             self._wanted = Wanted(lasting, topics, publishers, previous=previous, settings=self._settings)
             self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
-            self._newest = min(MOST_GENERATION, max((each.generation for each in publishers), default=0))
-            self._costs = partial(swap_costs, publishers, participants=participants)  # few looks make a plan
-            self._swaps.fill(now_s, lasting.budget_bytes_per_second)
             cause = self._follow_memory() or self._follow(state)
             self._is_postponed |= bool(self._owed)
         return Decision(allowed=_allowed(rates, topics), plan=self.plan, reason=cause, is_postponed=self._is_postponed)
+
+    def _give_back(self, state: LinkState, publishers: Sequence[PublisherState]) -> str:
+        """Give topics that cross the link no more their application's QoS back; return the cause, empty without a plan.
+
+        It waits as all does that would only be better, but not where a reader would be lost to the QoS in force. The
+        terms of the price stay: a far reader that returns finds no flood.
+        """
+        now_s, dwell_s, due = self._now_s, self._settings.governor.dwell_s, dict[str, TopicPlan]()
+        self._note_left(state, publishers)
+        lost = {each.topic for each in publishers if not is_kept(each.deadline_ns, each.requested_deadline_ns)}
+        wait_s = _RISE_DWELLS * dwell_s if now_s - self._changed_at_s >= dwell_s else math.inf
+        for name, (since_s, row) in sorted(self._left.items()):
+            may_swap = name in lost or (now_s - since_s >= wait_s and self._swaps.has_room)
+            if may_swap and row != self.plan.topics.get(name):
+                self._swaps.spend(self._costs(), (name,))
+                due[name] = row
+        if not due:
+            return ""
+        cause = "readers" if lost & due.keys() else "topics"
+        self._given_back.update(due)
+        rows = {name: row for name, row in self._planned.items() if name not in due}
+        self._take(rows, cause, self.plan.level_bytes_per_second)
+        self._changed_at_s = now_s
+        return cause
+
+    def _note_left(self, state: LinkState, publishers: Sequence[PublisherState]) -> None:
+        """Note topics that do not cross the link and carry a row of a plan, and the row that gives them back."""
+        before, rows = self._left, dict[str, TopicPlan]()
+        crossing = {each.topic for each in publishers if each.direction is not Direction.LOCAL}
+        local = [each for each in publishers if each.topic not in crossing]
+        for each in local:
+            name, request_ns = each.topic, each.requested_deadline_ns
+            if name in before or name in self.plan.topics or each.rate_hz < math.inf:  # also by a predecessor's plan
+                terms = before[name][1] if name in before else self.plan.topics.get(name, own_qos(math.inf))
+                row = rows.get(name, replace(terms, rate_hz=math.inf, deadline_ns=0, depth=0))
+                if not is_kept(each.baseline_deadline_ns, request_ns):  # only arpd serves this reader
+                    row = replace(row, deadline_ns=request_ns, depth=max(1, each.depth))
+                rows[name] = row
+        missing = {each.topic for each in local if each.topic in rows and not is_confirmed(each, rows[each.topic])}
+        is_known = state is not LinkState.OUTAGE  # topics beyond a lost link are only silent
+        self._left = {
+            name: (before[name][0] if is_known and name in before else self._now_s, rows[name]) for name in missing
+        }
 
     def _follow_memory(self) -> str:
         """Take depths that the memory of now allows; return ``memory``, or nothing where those in force do.
@@ -120,15 +169,15 @@ class Governor:
             name: row
             if name in self._wanted.silent
             else replace(row, depth=min(row.depth, self._wanted.depths.get(name, row.depth)))
-            for name, row in self.plan.topics.items()
+            for name, row in self._planned.items()
         }
         taken, less = (
             sum(slots[name] * row.depth for name, row in each.items() if name in slots)
-            for each in (self.plan.topics, rows)
+            for each in (self._planned, rows)
         )
         if less >= (1.0 - _EXCESS) * taken:
             return ""
-        self._swaps.spend(self._costs(), (name for name, row in rows.items() if row.qos != self.plan.topics[name].qos))
+        self._swaps.spend(self._costs(), (name for name, row in rows.items() if row.qos != self._planned[name].qos))
         self._take(rows, "memory", self.plan.level_bytes_per_second)
         return "memory"
 
@@ -150,7 +199,7 @@ class Governor:
         self._moving = {
             name: before if (before := self._moving.get(name, start))[0] is move else (move, now_s)
             for name, move in self._wanted.moves.items()
-            if name in self.plan.topics
+            if name in self._planned
         }
         self._owed = self._owed.intersection(self._moving)  # not where a source fell silent, or its QoS fits again
         if self.plan.generation > 0 and not self._moving and level != self.plan.level_bytes_per_second:
@@ -158,13 +207,13 @@ class Governor:
         has_demand = any(
             _differ(planned.rate_hz, row.rate_hz) or _differ(planned.wire_bytes, row.wire_bytes)
             for name, row in self._wanted.rows.items()
-            if (planned := self.plan.topics.get(name)) is not None
+            if (planned := self._planned.get(name)) is not None
         )
         self._demand_since_s = min(self._demand_since_s, now_s) if has_demand else math.inf
 
     def _cause(self) -> str:
         """Return the cause of a plan that is due, empty if none is."""
-        topics = self.plan.topics
+        topics = self._planned
         if self._wanted.rows.keys() != topics.keys() or (
             self._now_sharing != self._sharing and not self._reload_pending
         ):
@@ -229,7 +278,10 @@ class Governor:
 
     def _take(self, rows: Mapping[str, TopicPlan], cause: str, level: float) -> None:
         generation = min(MOST_GENERATION, max(self._newest, self.plan.generation) + 1)
-        self.plan = QosPlan(generation=generation, topics=rows, level_bytes_per_second=level)
+        self._planned = rows
+        # Those that have it already are no matter of a plan any more.
+        self._given_back = {name: row for name, row in self._given_back.items() if name in self._left}
+        self.plan = QosPlan(generation=generation, topics={**rows, **self._given_back}, level_bytes_per_second=level)
         self.plans_by_cause[cause] += 1
 
     def _within_budget(self) -> dict[str, TopicPlan]:

@@ -49,6 +49,6 @@ def is_confirmed(publisher: PublisherState, row: TopicPlan) -> bool:
     """
     if not math.isclose(publisher.rate_hz, row.rate_hz, rel_tol=_SIX_DIGITS):
         return False
-    depth, deadline_ns = row.qos if row.depth else (publisher.baseline_depth, publisher.baseline_deadline_ns)
+    depth, deadline_ns = publisher.qos_by(row)
     has_depth = publisher.keeps_all or publisher.depth == depth
     return publisher.refusal_reason.is_lasting or (has_depth and publisher.deadline_ns == deadline_ns)

@@ -13,7 +13,7 @@ from arpd.model.wire import wire_size
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from arpd.model.plan import PlanAnswer
+    from arpd.model.plan import PlanAnswer, TopicPlan
     from arpd.model.relay import RelaySummary
 
 MOST_PUBLISHERS = 2000  # that a daemon manages, of all nodes together and so of one: more than any robot has
@@ -273,6 +273,10 @@ class PublisherState(FlowState):
     def copies(self) -> int:
         """Times that each sample crosses the link: one unicast copy per remote reader, and one while none is known."""
         return max(1, self.remote_readers)
+
+    def qos_by(self, row: TopicPlan) -> tuple[int, int]:
+        """Return the depth and the deadline that a row of a plan gives it."""
+        return row.qos if row.depth else (self.baseline_depth, self.baseline_deadline_ns)
 
     def wire_bytes(self, rate_hz: float) -> float:
         """Return what a sample, at this rate, puts on the link in all its copies; 0 where none crosses it."""

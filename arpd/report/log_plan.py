@@ -84,10 +84,14 @@ def _why(snapshot: Snapshot, before: QosPlan | None, then: LinkEstimate | None) 
 
 
 def _topics_that_came(plan: QosPlan, before: QosPlan | None) -> str:
-    old = before.topics.keys() if before is not None else set()
-    moved = ((sorted(plan.topics.keys() - old), "joined"), (sorted(old - plan.topics.keys()), "left"))
+    old, now = (
+        {name for name, row in each.topics.items() if row.depth} if each is not None else set()
+        for each in (before, plan)
+    )
+    back = plan.topics.keys() - now - (before.topics.keys() - old if before is not None else set())
+    moved = ((sorted(now - old), "joined"), (sorted(old - now - back), "left"), (sorted(back), "given back"))
     words = [f"{listed(names)} {how}" for names, how in moved if names]
-    return f"{joined(words) if words else 'topics came and went'}, {len(plan.topics)} planned"
+    return f"{joined(words) if words else 'topics came and went'}, {len(now)} planned"
 
 
 def _what_the_link_did(link: LinkEstimate, then: LinkEstimate | None, plan: QosPlan, *, fell: bool) -> str:
@@ -118,9 +122,10 @@ def _changes(snapshot: Snapshot, before: Mapping[str, TopicPlan]) -> tuple[list[
         name, size = publisher.topic, publisher.payload_bytes
         if (row := snapshot.decision.plan.topics.get(name)) is None:
             continue
-        was = before.get(name, publisher)
-        if was.depth != row.depth and not publisher.keeps_all:
-            depths[name] = Change(name, was.depth, row.depth, abs(row.depth - was.depth) * size)
-        if was.deadline_ns != row.deadline_ns:
-            deadlines[name] = Change(name, was.deadline_ns, row.deadline_ns, size * publisher.copies)
+        was_row, (depth, deadline_ns) = before.get(name), publisher.qos_by(row)
+        was_depth, was_ns = publisher.qos_by(was_row) if was_row else (publisher.depth, publisher.deadline_ns)
+        if was_depth != depth and not publisher.keeps_all:
+            depths[name] = Change(name, was_depth, depth, abs(depth - was_depth) * size)
+        if was_ns != deadline_ns:
+            deadlines[name] = Change(name, was_ns, deadline_ns, size * publisher.copies)
     return list(depths.values()), list(deadlines.values())

@@ -23,7 +23,7 @@ class Topic:
 
     Parameters
     ----------
-    planned : its row of the plan in force; null if no plan has the topic
+    planned : its row of the plan in force; null if no plan has the topic, or the plan gives it back
     confirmed : what it announces: its counters, and the settings in force
     allocation : what the last tick gives it; null if the program does not have the topic
     kept_ratio : part of the source's rate that the link leaves it now, 0 to 1; 1 where the link does not slow it
@@ -65,7 +65,7 @@ def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
             Topic(
                 topic=topic,
                 node=node,
-                planned=planned,
+                planned=planned if planned and planned.depth else None,
                 confirmed=publisher,
                 allocation=allocation,
                 kept_ratio=kept,

@@ -1,8 +1,12 @@
 """A node takes plans from a daemon's messages, whole or not at all, with real rclpy."""
 
+import math
+from dataclasses import replace
 from itertools import count
 
 import pytest
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from arpd import AdaptivePublisher
@@ -92,6 +96,23 @@ def test_what_a_relay_has_carried_is_counted_when_it_is_told(node, announced, ev
     NodePublishers.of(node).relay = lambda: RelaySummary(link_bytes=next(carried))
     eventually("two snapshots arrive", lambda: len(announced.link_bytes) > 1)
     assert announced.link_bytes[1] > announced.link_bytes[0]
+
+
+def test_a_topic_that_is_given_back_serves_a_reader_that_its_plan_lost(ros, node, send, answers, eventually):
+    """A reader that requests the application's deadline hears nothing under a longer one, and all once it is back."""
+    own = QoSProfile(depth=10, deadline=Duration(nanoseconds=90_000_000))
+    publisher, received = AdaptivePublisher(node, String, A, own), []
+    send(3, {A: ROW})
+    eventually("the plan is in force", lambda: publisher.state().deadline_ns == ROW.deadline_ns)
+    ros.node("reader").create_subscription(String, A, received.append, own)
+    eventually("the reader is refused", publisher._flow.swap.current.refusals)
+    assert publisher.get_subscription_count() == 0
+    send(4, {A: replace(ROW, rate_hz=math.inf, depth=0, deadline_ns=0)})
+    answers(4)
+    eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(String(data="heard"))
+    eventually("it hears", lambda: received)
+    assert (publisher.state().depth, publisher.state().deadline_ns) == (10, 90_000_000)
 
 
 def test_publishers_beyond_what_a_node_may_tell_are_counted(node, announced, eventually, monkeypatch):

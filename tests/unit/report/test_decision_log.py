@@ -136,6 +136,18 @@ def test_every_cause_has_its_own_words(log):
     assert len(told) == 8
 
 
+def test_a_topic_that_is_given_back_is_told_with_what_its_application_chose(log):
+    """Its row has no numbers of its own; the next plan, which has no row for it, does not say that it left again."""
+    first(log)
+    rows = {**FIRST.topics, "/imu": replace(FIRST.topics["/imu"], depth=0, deadline_ns=0)}
+    back = replace(FIRST, generation=2, topics=rows)
+    (told,) = log.tick(plan=back, reason="topics")
+    assert told.text.startswith("/imu given back, 3 planned: deadline /imu 16 ms → none; 3 topics")
+    rest = {name: row for name, row in rows.items() if name not in {"/imu", "/rear"}}
+    (told,) = log.tick(plan=replace(back, generation=3, topics=rest), reason="topics")
+    assert told.text.startswith("/rear left, 2 planned")
+
+
 # -- conditions
 
 
