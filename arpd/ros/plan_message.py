@@ -23,7 +23,7 @@ PLAN_QOS = QoSProfile(
     depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
 )
 MOST_DEPTH = 5000
-#: Least and most of each number of a plan; beside depth each may be 0.
+#: Least and most of each number of a plan; each may be 0, too, and a depth of 0 is that of the application.
 BOUNDS: dict[str, tuple[float, float]] = {
     "generation": (0, MOST_GENERATION),
     "lease_s": (5.0, MOST_LEASE_S),  # the price, which renews a lease, comes once a second, and may be lost
