@@ -32,7 +32,7 @@ while True:
 PUBLISHER = """
 import json, sys, threading, time
 from arpd import AdaptivePublisher
-from arpd.ros.runtime import ros_node, send_without_waiting
+from arpd.ros.runtime import ros_node
 from std_msgs.msg import String
 
 class Listener(AdaptivePublisher):
