@@ -272,8 +272,9 @@ while not publisher.get_subscription_count():
     time.sleep(0.01)
 for word in ("begin", "go on", "go on", "stop"):
     publisher.publish(String(data=word))
+# As Ctrl-C comes, while it spins: rclpy's `spin` fails if its context ends while it makes its executor.
+node.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGINT))
 try:
-    os.kill(os.getpid(), signal.SIGINT)
     rclpy.spin(node)
 except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
     pass
