@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from arpd.estimate import parameters
@@ -75,6 +76,7 @@ class Estimator:
         self._largest_bytes = 0.0  # on the link, in all its copies
         self._pinged: list[float] = []
         self._queue_delay_s = self._alarm_s = 0.0  # the second by the bytes, before a ping confirms it
+        self._heard_queue_s = 0.0  # the queue while a peer was heard last
         self._queues = QueuePast()
         self._used_s = math.inf  # when more than next to nothing left or arrived last
 
@@ -122,10 +124,12 @@ class Estimator:
         self._measure_queue(now_s)
         self._learn(now_s, has_reports=bool(observation.reports))
         self._silence.note(now_s, observation.counters, is_usual=not self._is_silent)
+        # Behind a queue of seconds a peer is late, and not dead, however much of the little that passes is answered.
+        may_be_dead = self._silence.is_answered and self._heard_queue_s < parameters.LATE_QUEUE_S
         if not self._is_silent:
-            self._state = self._judge(now_s)
+            self._state, self._heard_queue_s = self._judge(now_s), self._queue_delay_s
         elif self._silence.is_cut or (
-            silence_s <= parameters.PEER_LOST_S and observation.peers != 0 and not self._silence.is_answered
+            silence_s <= parameters.PEER_LOST_S and observation.peers != 0 and not may_be_dead
         ):
             self._state = LinkState.OUTAGE
         else:
@@ -144,13 +148,15 @@ class Estimator:
         """
         if self._is_pinned:
             return ()
+        # Trains for a peer that returns are not paid for. On a dying link, which fell silent, they would pile up.
+        waits = self._stated.kind is CapacityKind.LOCAL and self._has_train_under_way
         requests = tuple(
             self._schedule.wanted(
                 now_s,
                 capacity=self._capacity,
                 is_measured=self._stated.kind is CapacityKind.PEER,
                 is_out=self._state is LinkState.OUTAGE or not math.isfinite(self._reported_s),
-                is_free=self._queue_delay_s < self._queue_low_s,
+                is_free=self._queue_delay_s < self._queue_low_s and not waits,
                 is_urgent=now_s - self._stated.fell_at_s < parameters.URGENT_S,
                 needs_pair=self._settings.packet_overhead_s is None and self._trains.needs_pairs,
                 copies=self._copies,
@@ -299,6 +305,11 @@ class Estimator:
                 believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
             self._stated.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 else LinkState.APP_LIMITED
+
+    @property
+    def _has_train_under_way(self) -> bool:
+        """True while no peer has told of a probe after the last train."""
+        return any(request.packets > 1 for request in islice(self._asked, 1, None))
 
     @property
     def _is_pinned(self) -> bool:

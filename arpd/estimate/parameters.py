@@ -30,6 +30,7 @@ RADIO_SHARE = 0.7
 # Silence.
 OUTAGE_S, OUTAGE_FORGET_S = 0.4, 1.0  # silence that is an outage, and silence after which measurements are forgotten
 OUTAGE_QUIETS = 2.2  # the same in periods at which a peer reports without being asked: one of them may be lost
+LATE_QUEUE_S = 1.0  # queue that explains why a peer is silent
 PEER_LOST_S = 10.0  # silence after which a peer is gone
 RESENDS_S = 1.0  # time after an outage in which what it took is sent again
 FIRST_WAIT_S = 3.0  # time that the first plan waits for evidence
