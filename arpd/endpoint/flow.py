@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -15,7 +15,6 @@ from arpd.model.endpoints import FlowState, Overflow, SwapResult, SwapTiming, Wi
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
 # A first plan takes about 2.5 s: a snapshot, the governor's debounce and the message of the plan.
 _PATIENCE_S = 4.0

@@ -15,14 +15,14 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
-from arpd.model.endpoints import MOST_PUBLISHERS
+from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState, WriterQos
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
 from arpd.ros.cdr import wrap
 from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
-from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, checked_row, decode_plan
+from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, PlanMessage, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
 from arpd.ros.rcl import NO_EVENTS, InvalidHandle, NotedPublisher, is_live
 from arpd.ros.rmw import current_rmw
@@ -32,10 +32,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.model.endpoints import PublisherState, WriterQos
     from arpd.model.price import Price
     from arpd.model.relay import RelaySummary
-    from arpd.ros.plan_message import PlanMessage
 
 _TELL_S = 1.0
 # Least time between two snapshots: 0.2 s, and what keeps a thousand publishers whose swaps end at any moment cheap.

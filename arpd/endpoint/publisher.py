@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from rclpy.duration import Duration
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.node_publishers import NodePublishers
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from rclpy.event_handler import PublisherEventCallbacks
     from rclpy.node import Node
-    from rclpy.qos import QoSProfile
     from rclpy.qos_overriding_options import QoSOverridingOptions
 
     from arpd.model.plan import TopicPlan

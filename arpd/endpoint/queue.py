@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.endpoint.lane import SMALL_BYTES
+from arpd.endpoint.lane import SMALL_BYTES, Lane, UnderWay
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, HEARTBEAT_S, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-    from arpd.endpoint.lane import Lane, UnderWay
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 

@@ -6,12 +6,11 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING
 
-from arpd.endpoint.lane import SMALL_BYTES
+from arpd.endpoint.lane import SMALL_BYTES, Lane
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.endpoint.lane import Lane
 
 POLL_S = 0.005
 # A node finds a daemon, or is found, by an announcement every 3 s; then there is a price within a second.

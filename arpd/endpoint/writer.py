@@ -11,12 +11,12 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
 from rclpy.executors import await_or_execute
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSPolicyKind, QoSReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSPolicyKind, QoSProfile, QoSReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
 from arpd.model.endpoints import SwapResult, WriterQos
-from arpd.ros.graph import period_ns
+from arpd.ros.graph import Requests, period_ns
 from arpd.ros.plan_message import checked
 from arpd.ros.rcl import InvalidHandle, Outlet, status_of
 
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
-    from rclpy.qos import QoSProfile
 
-    from arpd.ros.graph import Requests
 
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 

@@ -11,16 +11,14 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from arpd.endpoint.lane import SMALL_BYTES
-from arpd.endpoint.queue import SOON_S
+from arpd.endpoint.lane import SMALL_BYTES, Lane
+from arpd.endpoint.queue import SOON_S, PacedQueue
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.rcl import InvalidHandle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from arpd.endpoint.lane import Lane
-    from arpd.endpoint.queue import PacedQueue
     from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
 

@@ -15,14 +15,13 @@ from arpd.govern.plan import Move, Wanted
 from arpd.govern.progress import is_confirmed
 from arpd.govern.swaps import SwapBudget, swap_costs
 from arpd.model.allocation import Allocation, Binding, Decision, Topic
-from arpd.model.endpoints import Direction
+from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION, QosPlan, TopicPlan, is_kept, own_qos
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from arpd.model.endpoints import PublisherState
     from arpd.model.settings import Settings
 
 _DEMAND_CHANGE = 0.25  # a source that grows by more is above the ceiling of its plan

@@ -27,7 +27,7 @@ from arpd.model.errors import RosUnavailableError
 from arpd.model.settings import AUTO
 from arpd.relay.ends.end import End
 from arpd.relay.ends.prefix import Prefixed
-from arpd.ros.rmw import current_rmw
+from arpd.ros.rmw import Rmw, current_rmw
 from arpd.ros.runtime import (
     PROFILE_VARIABLES,
     TWO_ENDED_PROFILE,
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
     from arpd.endpoint.writing_thread import WritingThread
     from arpd.ros.raw_reader import ReadingThread
-    from arpd.ros.rmw import Rmw
 
 log = logging.getLogger(__name__)
 _TICK_S, _LOOK_S, _IDLE_S = 0.1, 0.5, 1.0  # between two steps: of an end, under a prefix, and of neither

@@ -12,14 +12,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import QoSProfile
 
 from arpd.model.quantities import printable
-from arpd.report.diagnostics import diagnose
+from arpd.report.diagnostics import Status, diagnose
 from arpd.report.wording import MOST_TEXT
 from arpd.ros.rate_limits import OncePerMinute
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from arpd.report.diagnostics import Status
     from arpd.report.snapshot import Snapshot
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from arpd.ros.cdr import doubles, octets
 from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import decode_price
 from arpd.ros.rate_limits import OncePerMinute, RateLimit
-from arpd.ros.raw_reader import RawReader, ReadingThread
+from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
-    from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 _PERIOD_S = 2.0  # a writer may send what its rate gives in this time at once

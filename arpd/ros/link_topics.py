@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.link_topics import LinkTopic
-from arpd.ros.graph_view import ON_EVERY_NODE
+from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from arpd.ros.graph import Endpoint
-    from arpd.ros.graph_view import GraphView
     from arpd.ros.rmw import Rmw
 
 _RELAYS = "arpd_relay"  # names of its nodes begin so, unless the user gives another one (--node-name)

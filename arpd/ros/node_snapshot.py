@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState, SwapResult, SwapState, WithheldCause
-from arpd.model.plan import NO_PLAN
+from arpd.model.plan import NO_PLAN, PlanAnswer
 from arpd.model.quantities import printable
 from arpd.ros.documents import MOST_INTEGER, pack
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
 
 #: Of a snapshot's text: twice what as many publishers take whose names, types and refusals are as long as they may be.

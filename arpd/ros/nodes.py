@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState
+from arpd.model.endpoints import MOST_PUBLISHERS, NodeSnapshot, PublisherState
 from arpd.ros.crossing import Graph
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from arpd.model.endpoints import NodeSnapshot
     from arpd.model.plan import PlanAnswer
     from arpd.model.relay import RelaySummary
 

@@ -26,14 +26,13 @@ from arpd.model.settings import RelaySettings
 from arpd.ros.cdr import octets, wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
-from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread
+from arpd.ros.raw_reader import REST_S, RawReader, ReadingThread, Sample
 from arpd.ros.runtime import ros_node, send_without_waiting, serve_until, stop_on_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 

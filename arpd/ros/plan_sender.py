@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.model.plan import NO_PLAN
+from arpd.model.plan import NO_PLAN, PlanAnswer, QosPlan, TopicPlan
 from arpd.ros.cdr import wrap
 from arpd.ros.names import PLAN_TOPIC
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
@@ -18,7 +18,6 @@ from arpd.ros.rcl import NO_EVENTS
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from arpd.model.plan import PlanAnswer, QosPlan, TopicPlan
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
-from arpd.host.notify import Watchdog
+from arpd.host.notify import Notifier, Watchdog
 from arpd.model.errors import GET_ROS, LinkError, RosUnavailableError
 from arpd.model.wire import MOST_DOMAIN
 from arpd.ros.rmw import chosen_rmw
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, MutableMapping, Sequence
 
     from arpd.host.addresses import Addresses
-    from arpd.host.notify import Notifier
     from arpd.model.settings import LinkDomain
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rclpy.qos import QoSProfile
 
-from arpd.model.link_topics import TopicList, TopicTraffic
+from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
 from arpd.relay.ends.types import UnknownTypeError, message_class
 from arpd.ros.graph import policies_of
 from arpd.ros.graph_view import GraphView
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.model.link_topics import LinkTopic
 
 # Processes announce themselves every three seconds; a busy one misses the first announcements of this one.
 _DISCOVERY_S, _QUIET_S, _LONGEST_DISCOVERY_S = 3.2, 0.7, 8.0

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from arpd.host.interface import InterfaceReader, is_radio, read_memory
 from arpd.host.radio import transmit_rate
-from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState
+from arpd.model.endpoints import MOST_PUBLISHERS, Direction, NodeSnapshot, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
 from arpd.ros.cdr import wrap
@@ -32,7 +32,7 @@ from arpd.ros.peer_reports import PeerReports
 from arpd.ros.plan_sender import PlanSender
 from arpd.ros.price_message import encode_price
 from arpd.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
-from arpd.ros.raw_reader import ReadingThread
+from arpd.ros.raw_reader import ReadingThread, Sample
 from arpd.ros.rcl import InvalidHandle, rcl
 from arpd.ros.rmw import current_rmw
 from arpd.ros.snapshot_decoder import decode_snapshot
@@ -40,11 +40,9 @@ from arpd.ros.snapshot_decoder import decode_snapshot
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-    from arpd.model.endpoints import NodeSnapshot
     from arpd.model.plan import QosPlan
     from arpd.model.price import Price
     from arpd.model.probing import PeerReport, ProbeRequest
-    from arpd.ros.raw_reader import Sample
 
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S, _HOST_S = 0.2, 1.0  # between two looks at the graph, and at memory and radio

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Topic
 from arpd.model.endpoints import Direction, PublisherState
-from arpd.model.settings import Policy
+from arpd.model.settings import Policy, ProgramSettings, Settings
 from arpd.model.wire import FRAGMENT_BYTES, SMALL_PACKETS, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from arpd.model.observation import MemoryState
-    from arpd.model.settings import ProgramSettings, Settings
 
 _LEAST_BUDGET_BYTES = 2.0**20
 

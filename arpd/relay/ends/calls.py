@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.exceptions import NameValidationException
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.relay.calls import CallBook, CallFailure, FailureReason, Request
+from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason, Outcome, Request
 from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
 from arpd.relay.ends.types import UnknownTypeError
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.calls import CallId, Outcome
     from arpd.relay.ends.ghosts import GhostNodes
     from arpd.relay.selection import Side
     from arpd.ros.graph import Endpoint

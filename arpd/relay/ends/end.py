@@ -24,7 +24,7 @@ from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
 from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread, lasting_s
 from arpd.relay.ends.link_topic import LinkTopic
-from arpd.relay.ends.offers import EndState, decode_state, encode_state
+from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.envelope import WRAP
 from arpd.relay.partner import Partner
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.offers import TopicOffer
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.writing_thread import WritingThread
-from arpd.relay.envelope import Assembly
+from arpd.relay.envelope import Assembly, Chunk
 from arpd.relay.link_queue import LinkQueue
 from arpd.ros.cdr import wrap
 from arpd.ros.rate_limits import OncePerMinute
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.endpoint.lane import Lane
-    from arpd.relay.envelope import Chunk
 
 log = logging.getLogger(__name__)
 #: Reliable. The thread takes samples at once, so this bridges its scheduling only; and calls repeat themselves.

@@ -14,7 +14,7 @@ from arpd.endpoint.lane import Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.plan import TopicPlan
-from arpd.model.settings import DEFAULT_RELAY_DEPTH
+from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
 from arpd.relay.ends.outgoing import Carried
 from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model.price import Price
-    from arpd.model.settings import RelaySettings
     from arpd.relay.ends.link import LinkThread
     from arpd.relay.ends.offers import WriterOffer
     from arpd.ros.raw_reader import Sample

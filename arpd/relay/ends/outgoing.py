@@ -8,13 +8,13 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from arpd.relay.ends.offers import TopicOffer
+from arpd.relay.ends.offers import TopicOffer, WriterOffer
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
-from arpd.ros.raw_reader import ReadingThread
+from arpd.ros.raw_reader import ReadingThread, Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.model.settings import RelaySettings
-    from arpd.relay.ends.offers import WriterOffer
-    from arpd.ros.raw_reader import Sample
 
 _NAMED_AS_GROUP = "a group of topics has this name; give the group another one under relay.groups"
 _REST_S = 0.0015  # most that a sample waits behind others; of an arm's thousand a second several are read in a turn

@@ -12,7 +12,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.publisher import AdaptivePublisher
 from arpd.model.endpoints import Overflow
-from arpd.model.settings import DEFAULT_RELAY_DEPTH
+from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
 from arpd.relay.ends.outgoing import Carried, Outgoing
 from arpd.relay.ends.types import is_bulk, message_class
 from arpd.relay.status import prefix_line
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from arpd.endpoint.writing_thread import WritingThread
-    from arpd.model.settings import RelaySettings
     from arpd.relay.ends.offers import WriterOffer
     from arpd.ros.raw_reader import ReadingThread, Sample
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arpd.relay.calls import CallFailure, FailureReason
+from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason
 from arpd.relay.ends.types import service_class
-from arpd.ros.raw_reader import Inlet
+from arpd.ros.raw_reader import Inlet, ReadingThread
 from arpd.ros.rcl import rcl
 
 if TYPE_CHECKING:
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from arpd.relay.calls import CallBook, CallId
     from arpd.relay.ends.offers import ServiceOffer
-    from arpd.ros.raw_reader import ReadingThread
 
 log = logging.getLogger(__name__)
 # As ROS's own, but deeper: requests of many clients wait while the relay does other work, and nobody repeats them.
