@@ -4,8 +4,6 @@ import math
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 from dataclasses import replace
 
@@ -26,7 +24,7 @@ from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
 from arpd.ros.rcl import InvalidHandle
 from tests.ros.ends_world import listen
-from tests.ros.world import DOMAIN, FREE, REPO, TERMS, Announced, Plans, costing, retune
+from tests.ros.world import FREE, TERMS, Announced, Plans, costing, retune
 from tests.waiting import PATIENCE_S
 
 TOPIC = "/swapped"
@@ -256,37 +254,6 @@ def test_the_last_sample_leaves_at_the_end(ros, eventually, end):
     else:
         node.context.shutdown()
     eventually("the last one arrives", lambda: received[-1] == "stop")
-
-
-OPERATOR = f"""
-import os, signal, time, rclpy
-from std_msgs.msg import String
-from arpd import AdaptivePublisher
-from arpd.model.plan import TopicPlan
-
-rclpy.init()
-node = rclpy.create_node("operator")
-publisher = AdaptivePublisher(node, String, "{TOPIC}", 10)
-publisher.retune(TopicPlan(rate_hz=1e-3, min_rate_hz=0.0, deadline_ns=0, depth=10))
-while not publisher.get_subscription_count():
-    time.sleep(0.01)
-for word in ("begin", "go on", "go on", "stop"):
-    publisher.publish(String(data=word))
-# As Ctrl-C comes, while it spins: rclpy's `spin` fails if its context ends while it makes its executor.
-node.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGINT))
-try:
-    rclpy.spin(node)
-except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-    pass
-"""
-
-
-def test_the_last_sample_leaves_after_a_signal(ros, eventually):
-    """A program that ends by Ctrl-C, and destroys no node, takes nothing with it."""
-    received = listen(ros.node("robot"), TOPIC)
-    variables = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPO)}
-    subprocess.run([sys.executable, "-c", OPERATOR], env=variables, timeout=2 * PATIENCE_S, check=True)
-    eventually("the last one arrives", lambda: received[-1:] == ["stop"])
 
 
 def test_a_destroyed_node_leaves_nothing_and_the_others(ros, publisher, background, eventually):
