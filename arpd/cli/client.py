@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-
 _DEADLINE_S = 3.0  # of a whole answer
+_FOR_CERTIFICATE = "for a client certificate, which arpd cannot present; ask its API by curl --cert"
 _MOST_BYTES = 16 * 2**20
 _LONGEST = 400  # characters of a text
 _LARGEST = 2**63  # counts beyond it are nonsense
@@ -191,13 +191,12 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     if isinstance(error, ssl.SSLCertVerificationError):
         hint = "compare the clocks of both computers" if error.verify_code in _NOT_NOW else "name its CA with --cacert"
         why = f"the certificate of {url} is not trusted ({error.verify_message}); {hint}"
+    elif isinstance(error, ssl.SSLEOFError):  # whether its alert is read before the end of the connection is chance
+        why = f"{url} broke off TLS, so it speaks no https, or asks {_FOR_CERTIFICATE}"
+    elif isinstance(error, ssl.SSLError) and "CERTIFICATE_REQUIRED" in (error.reason or ""):
+        why = f"{url} asks {_FOR_CERTIFICATE}"
     elif isinstance(error, ssl.SSLError):
         why = f"{url} cannot be reached by TLS ({error.reason or 'the handshake failed'}); does it speak https?"
-        # Whether its alert is read before the end of the connection is chance.
-        is_cut = isinstance(error, ssl.SSLEOFError)
-        if is_cut or "CERTIFICATE_REQUIRED" in (error.reason or ""):
-            asks = "broke off TLS, so it speaks no https, or asks" if is_cut else "asks"
-            why = f"{url} {asks} for a client certificate, which arpd cannot present; ask its API by curl --cert"
     elif isinstance(error, (OSError, HTTPTimeoutError)) and not isinstance(error, ConnectionResetError):
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
         reason = "timed out" if is_late else getattr(error, "strerror", None) or error

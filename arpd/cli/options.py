@@ -13,7 +13,6 @@ from arpd.model.settings import HttpSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
 DEFAULT_CONFIG = Path("/etc/arpd/arpd.yaml")
 _Number = TypeVar("_Number", int, float)
 _DEFAULT = HttpSettings()

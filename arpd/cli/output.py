@@ -17,7 +17,6 @@ from rich.text import Text
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
-
 WITHOUT_END = 10_000  # columns, or lines, of a pipe
 _GAP = 2
 _LEAST_NAME, _LEAST_LAST = 24, 8  # of the first and the last column, while another one can be dropped instead

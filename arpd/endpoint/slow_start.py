@@ -11,7 +11,6 @@ from arpd.endpoint.lane import SMALL_BYTES, Lane
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
 POLL_S = 0.005
 # A node finds a daemon, or is found, by an announcement every 3 s; then there is a price within a second.
 _PATIENCE_S = 5.0

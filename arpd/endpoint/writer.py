@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-
 _EVENTS = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 
 

@@ -308,7 +308,7 @@ class Estimator:
 
     @property
     def _has_train_under_way(self) -> bool:
-        """True while no peer has told of a probe after the last train."""
+        """True until a peer reports a probe that left after the last train."""
         return any(request.packets > 1 for request in islice(self._asked, 1, None))
 
     @property

@@ -278,7 +278,7 @@ class Governor:
     def _take(self, rows: Mapping[str, TopicPlan], cause: str, level: float) -> None:
         generation = min(MOST_GENERATION, max(self._newest, self.plan.generation) + 1)
         self._planned = rows
-        # Those that have it already are no matter of a plan any more.
+        # Publishers that have it back need no row.
         self._given_back = {name: row for name, row in self._given_back.items() if name in self._left}
         self.plan = QosPlan(generation=generation, topics={**rows, **self._given_back}, level_bytes_per_second=level)
         self.plans_by_cause[cause] += 1

@@ -93,9 +93,9 @@ def _of_plan(snapshot: Snapshot, situation: Situation) -> dict[str, str]:
         "allowed above the minimum rates": format_share(decision.allowed),
         "publishers confirmed": f"{snapshot.confirmed} of {snapshot.managed}",
         **{
-            f"{each.topic} of {each.node}": f"{format_number(each.allowed_hz)} of {format_number(rate_hz)} Hz"
+            f"{each.topic} of {each.node}": f"{format_number(each.allowed_hz)} of "
+            f"{format_number(each.confirmed.source_rate_hz)} Hz"
             for each in slowed[:_MOST_TOPICS]
-            if (rate_hz := each.confirmed.source_rate_hz)
         },
         "further publishers slowed": str(max(0, len(slowed) - _MOST_TOPICS)),
     }

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
-
 log = logging.getLogger(__name__)
 _PERIOD_S = 2.0  # a writer may send what its rate gives in this time at once
 T = TypeVar("T")

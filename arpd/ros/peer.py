@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-
 log = logging.getLogger(__name__)
 
 _QUIET_S = 5.0  # a daemon sends several probes in this time, in an outage too

@@ -18,7 +18,6 @@ from arpd.ros.rcl import NO_EVENTS
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-
 log = logging.getLogger(__name__)
 
 # The middleware repeats what is lost, so a message is sent again mostly for a swap that failed: after the three to four

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-
 # Processes announce themselves every three seconds; a busy one misses the first announcements of this one.
 _DISCOVERY_S, _QUIET_S, _LONGEST_DISCOVERY_S = 3.2, 0.7, 8.0
 _LOOK_S, _LOOK_AGAIN_S = 0.1, 1.0  # between looks at the graph, before measuring and while it lasts

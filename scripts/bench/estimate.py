@@ -24,7 +24,6 @@ from scripts.bench.report import Summary, figure, picked, table
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-
 ARPD, BOUND = "arpd", "bound"
 SEEDS, PROCESSES = 3, 2
 _HOLDS_S = 1.0 - 1e-9

@@ -30,7 +30,6 @@ from scripts.bench.world import World, world_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
 MINUTES, QUICK_MINUTES = 2.5, 0.75
 _AFTER_KILL_S = 1.0  # RestartSec= of the units
 _FAST, _SLOW, _OUT_S, _LOSS = 20 * MBIT, 2 * MBIT, 4.0, 0.01

@@ -17,7 +17,6 @@ from scripts.bench.report import REPO
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-
 _MOST_FOREIGN = 0.05  # of the machine's processors
 
 

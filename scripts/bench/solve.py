@@ -26,7 +26,6 @@ from scripts.bench.report import Summary, figure, table
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
 PAPER = "the paper's way: cvxpy with its default solver, (G1) with κ"
 LEVELS: dict[str, Callable[[Column, Column, Column, float], float]] = {
     "cvxpy": cvxpy_.level,

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable, Iterator, Sequence
 
-
 _STATUS_URL = "http://127.0.0.1:9464/api/v1/status"
 _MATCH_S, DRAIN_S, _LEAD_S = 40.0, 4.0, 1.0
 _TICK_S, _FOOTPRINT_S = 0.02, 0.5

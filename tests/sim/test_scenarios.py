@@ -33,6 +33,11 @@ def play(schedule, duration_s, *, way=Way.ARPD, seed=1, losses=(), loss=0.0, lin
     ).play()
 
 
+def plans(result):
+    """Return the moments with a new plan."""
+    return [moment for moment in result.moments if moment.cause]
+
+
 def errors(moments):
     return [abs(moment.estimate_bytes_per_second / moment.truth_bytes_per_second - 1.0) for moment in moments]
 
@@ -105,7 +110,7 @@ def test_a_fall_is_known_within_three_seconds_and_a_recovery_used_at_once(seed):
     assert goodput(result, RISE_S + 2.0, RISE_S + 6.0) > demand
     last = result.moments[-1]
     assert last.confirmed == last.planned == len(demo_topics())
-    assert [moment.cause for moment in result.moments if moment.cause and moment.t_s > FALL_S] == ["down"]
+    assert [plan.cause for plan in plans(result) if plan.t_s > FALL_S] == ["down"]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -129,7 +134,7 @@ def test_an_outage_pauses_the_topics_and_makes_no_plan():
     budgets = [moment.budget_bytes_per_second for moment in silent]
     assert budgets[0] <= 0.05 * 20 * MBIT
     assert budgets == sorted(budgets, reverse=True)
-    assert not [moment for moment in result.moments if moment.cause and OUTAGE[0] < moment.t_s < OUTAGE[1] + 1.0]
+    assert not [plan for plan in plans(result) if OUTAGE[0] < plan.t_s < OUTAGE[1] + 1.0]
 
 
 def test_after_an_outage_traffic_and_estimate_return():
@@ -147,7 +152,7 @@ def test_what_waited_out_a_standstill_is_no_evidence():
     """After a standstill, late reports do not lower the estimate for long, and no plan is made."""
     schedule = RateSchedule.parse("0:5mbit,22:80bit,37:5mbit")
     result = Scenario(demo_settings(), schedule, 42.0, seed=5).play()
-    assert not [moment for moment in result.moments if moment.cause and moment.t_s > 22.0]
+    assert not [plan for plan in plans(result) if plan.t_s > 22.0]
     assert min(moment.estimate_bytes_per_second for moment in between(result.moments, 37.0, 42.0)) > 0.5 * 5 * MBIT
     assert right(between(result.moments, 40.0, 42.0)) > 0.8
 
@@ -157,7 +162,7 @@ def test_a_lossy_link_is_no_slow_link():
     result = play("0:20mbit", 25.0, loss=0.01)
     assert statistics.mean(errors(between(result.moments, 10.0, 25.0))) < 0.15
     assert max(topic.loss_ratio for topic in result.topics) < 0.02
-    assert not [moment for moment in result.moments if moment.cause and moment.cause == "down"]
+    assert not [plan for plan in plans(result) if plan.cause == "down"]
 
 
 # -- cross traffic
@@ -210,7 +215,7 @@ def test_an_upload_gets_room_and_gives_it_back():
     after = between(result.moments, UPLOAD_END_S + 6.0, 50.0)
     assert max(moment.cross_traffic_bytes_per_second for moment in after) < 0.02 * 5.0 * MBIT
     assert min(moment.budget_bytes_per_second for moment in after) > 0.75 * 5.0 * MBIT
-    causes = [moment.cause for moment in result.moments if moment.cause and moment.t_s > 10.0]
+    causes = [plan.cause for plan in plans(result) if plan.t_s > 10.0]
     assert set(causes) == {"down"}
     assert len(causes) <= 2
 

@@ -16,7 +16,6 @@ from arpd.report.first_guess import WEAK_LINK_BYTES_PER_SECOND, FirstGuess, Topi
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-
 _WIDTH = 110
 _LONGEST = 400
 _TOPIC = TypeAdapter(TopicSettings)

@@ -44,7 +44,7 @@ class World:
     def _take(self, plan, lease_s):
         for name, each in self.publishers.items():
             if (row := plan.topics.get(each.topic)) is not None:
-                depth, deadline_ns = row.qos if row.depth else (each.baseline_depth, each.baseline_deadline_ns)
+                depth, deadline_ns = each.qos_by(row)
                 self.publishers[name] = replace(
                     each,
                     generation=plan.generation,

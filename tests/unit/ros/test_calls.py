@@ -140,7 +140,7 @@ def test_requests_leave_five_at_a_time_and_one_that_cannot_be_sent_fails_alone(w
 
 
 def test_calls_fail_when_their_server_goes(world, client):
-    """In an outage the end that asked never hears of it, and the result of a goal would be awaited for ever."""
+    """In an outage the end that asked never hears of it, and would wait for the result of a goal without end."""
     client.send(1, request(1))
     for now_s in (100.0, 101.0):
         client.release(now_s)
