@@ -35,6 +35,7 @@ HIDDEN_WHILE_CUT = {
     Condition.OUTAGE,  # while the interface is down, or no peer answers this daemon, because it asks nothing
     Condition.PEER_LOST,
     Condition.MINIMUM_RATES,
+    Condition.RELAY_SILENT,  # its messages to this daemon wait behind those for a link that stands still
     Condition.RELAY_CUT,
     Condition.UNCONFIRMED,
     Condition.WITHOUT_PEER,
@@ -166,7 +167,7 @@ def _of_configuration(snapshot: Snapshot) -> Iterator[Finding]:
 
 def _of_relay(snapshot: Snapshot) -> Iterator[Finding]:
     relay = snapshot.observation.relay
-    if snapshot.observation.is_relay_silent:
+    if snapshot.observation.is_relay_silent and not is_cut(snapshot):
         start = "start it: sudo systemctl enable --now arpd-relay"
         yield Finding(Condition.RELAY_SILENT, f"it tells this daemon nothing; {start}; or see journalctl -u arpd-relay")
     if relay is None:

@@ -91,6 +91,13 @@ def test_the_ports_of_the_link_are_named_while_its_other_end_was_never_heard():
         assert ("UDP ports 26660 to 26667" in findings(snapshot)[Condition.RELAY_CUT]) is is_named
 
 
+def test_a_relay_is_not_called_silent_while_the_link_is_out():
+    """What it tells the daemon waits in the same buffer as what it sends over the link."""
+    for state, is_found in ((LinkState.OUTAGE, False), (LinkState.STEADY, True)):
+        silent = held(changed(observation={"relay": None, "is_relay_silent": True}, link={"state": state}))
+        assert (Condition.RELAY_SILENT in findings(silent)) is is_found
+
+
 @pytest.mark.parametrize("condition", [each for each in Condition if each.holds_s and each is not Condition.STALE])
 def test_a_condition_counts_once_it_has_held_for_its_time(condition):
     """The monotonic clock counts, whatever somebody sets the wall clock to."""
