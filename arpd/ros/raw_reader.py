@@ -45,7 +45,7 @@ _MOST_REPEATS = 100
 _MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
 _TURN_S = 1.0  # longest wait for a sample, and between two looks at every reader
 _ALL = 1_000_000  # announced where nobody has counted
-_LEAST_DEPTH, _ROOM = 2, 2.0  # a new reader misses samples, so one is made where twice the bytes would be held
+_LEAST_DEPTH, _ROOM = 2, 2.0  # a new endpoint costs something, so one is made where twice the bytes would be held
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
 
@@ -238,6 +238,13 @@ class ReadingThread:
             return math.inf
 
 
+def bounded_depth(depth: int, sample: bytes, most_bytes: int | None) -> int:
+    """Return the depth of an endpoint that is to hold no more bytes than these, in samples like this one."""
+    if most_bytes is None or depth <= _LEAST_DEPTH or len(sample) * depth <= _ROOM * most_bytes:
+        return depth
+    return max(_LEAST_DEPTH, most_bytes // len(sample))
+
+
 class RawReader:
     """A reader of one topic whose samples a `ReadingThread` takes.
 
@@ -318,10 +325,10 @@ class RawReader:
 
     def _has_room_for(self, sample: Sample) -> bool:
         """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one."""
-        depth, most_bytes = self._qos.depth, self._most_held_bytes
-        if most_bytes is None or depth <= _LEAST_DEPTH or len(sample.data) * depth <= _ROOM * most_bytes:
+        depth = bounded_depth(self._qos.depth, sample.data, self._most_held_bytes)
+        if depth == self._qos.depth:
             return True
-        self._qos.depth = max(_LEAST_DEPTH, most_bytes // len(sample.data))
+        self._qos.depth = depth
         self._begin_again()
         return False
 

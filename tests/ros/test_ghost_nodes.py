@@ -44,9 +44,10 @@ class Ghost:
     """A ghost writer that is stepped ten times a second, and writes a hundred samples in that time if it is told to."""
 
     def __init__(self, node, **offer):
-        self.writer = GhostWriter(node, String, TOPIC, WriterOffer(node="", gid="", **offer), depth=10)
+        about = WriterOffer(node="", gid="", **offer)
+        self.writer = GhostWriter(node, String, TOPIC, about, depth=10, most_held_bytes=1000)
         self.node, self.written, self.is_writing, self.most_held = node, 0, False, 0
-        self.is_reachable = True
+        self.is_reachable, self.digits = True, 1
         self.lock = threading.Lock()  # as that of `Incoming`
 
     def write(self, stopping):
@@ -54,7 +55,7 @@ class Ghost:
             with self.lock:
                 if self.is_writing:
                     self.written += 1
-                    sample = serialize_message(String(data=str(self.written)))
+                    sample = serialize_message(String(data=str(self.written).zfill(self.digits)))
                     self.writer.write(Record(b"", self.written, sample))
                 self.most_held = max(self.most_held, self.held)
 
@@ -132,6 +133,22 @@ def test_a_swap_of_a_ghost_loses_doubles_and_reorders_nothing(ghost, listen, mon
     for _, received in readers:
         eventually("the last sample arrives", lambda received=received: received[-1] == ghost.written)
         assert received == list(range(1, ghost.written + 1))
+
+
+def test_a_ghost_of_large_samples_holds_few_of_them(ghost, listen, eventually):
+    """Where its depth of them is too much memory, it is swapped for a smaller one, and no sample is lost meanwhile."""
+    ghost, (reader, received) = ghost(), listen("reader")
+    eventually("the reader finds the ghost", reader.get_publisher_count)
+    eventually("the ghost finds the reader", ghost.writer.matched)
+    ghost.is_writing = True
+    eventually("small samples arrive", lambda: received)
+    assert ghost.qos.depth == 10
+    ghost.digits = 400
+    eventually("the depth is smaller", lambda: ghost.qos.depth == 2)
+    eventually("the swap is over", lambda: not ghost.is_busy)
+    ghost.is_writing = False
+    eventually("the last sample arrives", lambda: received[-1] == ghost.written)
+    assert received == list(range(1, ghost.written + 1))
 
 
 def test_a_ghost_offers_no_longer_deadline_than_its_original_and_its_readers_allow(ghost, listen, eventually):

@@ -21,6 +21,7 @@ from arpd.endpoint.writer import RosWriter, swap_failure
 from arpd.endpoint.writer_swap import WriterSwap
 from arpd.model.endpoints import SwapResult, SwapTiming, WriterQos
 from arpd.ros.graph import Requests, policies_of
+from arpd.ros.raw_reader import bounded_depth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,6 +103,8 @@ class GhostWriter:
     ----------
     depth : KEEP_LAST depth without a plan; discovery does not tell the original's (samples)
     planned : depth and deadline of the plan
+    most_held_bytes : what may wait for a reader that stands still; where the samples are too large for that, the depth
+        is swapped for a smaller one
     """
 
     def __init__(
@@ -113,8 +116,10 @@ class GhostWriter:
         *,
         depth: int,
         planned: WriterQos = NO_PLAN,
+        most_held_bytes: int | None = None,
     ) -> None:
         self.offer, self._node, self._depth = offer, node, depth
+        self._most_held_bytes = None if offer.is_latched else most_held_bytes
         self._new_publisher = partial(node.create_publisher, msg_type, topic)
         self._planned = NO_PLAN if offer.is_latched else planned
         self._requests = Requests(node, topic)
@@ -140,6 +145,8 @@ class GhostWriter:
         if record.sequence <= self._last:
             return False
         self._last = record.sequence
+        if (depth := bounded_depth(self._depth, record.sample, self._most_held_bytes)) != self._depth:
+            self._depth, self.due_s = depth, time.monotonic()
         if self._is_found:
             self._swap.write(record.sample)
         else:

@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.exceptions import NameValidationException
@@ -15,7 +16,7 @@ from rclpy.exceptions import NameValidationException
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
-from arpd.relay.ends.types import UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
+from arpd.relay.ends.types import MOST_BYTES, UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 from arpd.ros.names import on_link
 
@@ -178,11 +179,16 @@ class Incoming:
         key = writer_key(writer.gid)
         planned = WriterQos(depth=offer.planned_depth, deadline_ns=offer.planned_deadline_ns)
         if (ghost := self._ghosts.get(key)) is None:
-            local, depth = self._side.local_name(name), self._depth(name, writer, kind)
-            made = self._nodes.give(
-                self._side.local_name(writer.node),
-                lambda node: GhostWriter(node, kind, local, writer, depth=depth, planned=planned),
+            make = partial(
+                GhostWriter,
+                msg_type=kind,
+                topic=self._side.local_name(name),
+                offer=writer,
+                depth=self._depth(name, writer, kind),
+                planned=planned,
+                most_held_bytes=None if name in self._depths else MOST_BYTES,
             )
+            made = self._nodes.give(self._side.local_name(writer.node), make)
             ghost = self._ghosts[key] = _Ghost(made, name, offer)
         ghost.offer = offer
         ghost.writer.follow(writer, planned)
