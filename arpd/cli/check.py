@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arpd.cli.options import DEFAULT_CONFIG, Command, add_json
+from arpd.host.addresses import own_address
 from arpd.host.config.keys import changes, flatten
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.interface import list_interfaces
@@ -40,7 +41,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--far", action="store_true", help="check for the far end, on the base computer; link.interface is the robot's"
     )
-    parser.add_argument("--no-interfaces", action="store_true", help="link.interface is another computer's")
+    parser.add_argument("--no-interfaces", action="store_true", help="interface and addresses are another computer's")
     add_json(parser)
 
 
@@ -48,6 +49,8 @@ def _check(options: argparse.Namespace) -> int:
     interfaces = None if options.far or options.no_interfaces else list_interfaces
     try:
         settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
+        if not options.no_interfaces:
+            own_address(options.file, settings.relay.link(is_far=options.far), is_far=options.far)
         if not options.far:
             load_protection(settings.http, directory=options.file.parent)
     except ConfigError as error:

@@ -44,17 +44,24 @@ def broken_rules(
         yield from _bad_relayed_names(source, relay.prefix, carried)
         yield from _unused_keys(source, relay)
         return
+    yield from _bad_ends(source, relay, local_domain)
+    # Nothing would read the settings of a topic that crosses under the name of its group.
+    group_of = {member: group.name for group in relay.groups for member in group.topics if member != group.name}
+    for location, name in named + carried:
+        if name in group_of:
+            yield source.fault(location, f"'{name}' is in group {group_of[name]}; set this for the group")
+
+
+def _bad_ends(source: YamlSource, relay: RelaySettings, local_domain: int | None) -> Iterator[Fault]:
     if relay.link_domain == local_domain:
         wrong = f"{local_domain} is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
         yield source.fault(("relay", "link_domain"), wrong)
     if relay.robot is relay.base is None:
         wrong = "needs the address of one end, or nobody would find the other; give relay.robot or relay.base"
         yield source.fault(("relay", "link_domain"), wrong)
-    # Nothing would read the settings of a topic that crosses under the name of its group.
-    group_of = {member: group.name for group in relay.groups for member in group.topics if member != group.name}
-    for location, name in named + carried:
-        if name in group_of:
-            yield source.fault(location, f"'{name}' is in group {group_of[name]}; set this for the group")
+    elif relay.robot == relay.base and not (relay.robot or "").startswith(("127.", "localhost")):
+        wrong = f"{relay.base} is relay.robot, too; write the base computer's own address, or none"
+        yield source.fault(("relay", "base"), wrong)
 
 
 def _names(above: Location, entries: Sequence[TopicSettings | RelayTopic]) -> list[tuple[Location, str]]:

@@ -11,6 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
+from arpd.host import addresses
 from arpd.host.config.keys import flatten
 from arpd.host.config.load import load_settings
 from arpd.model.errors import LinkError, RosUnavailableError
@@ -115,6 +116,16 @@ def test_check_knows_the_domain_of_this_computers_nodes(run, config, monkeypatch
         assert err.startswith(f"{path}:1:22: relay.link_domain: 77 ")
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     assert run("check", path)[0] == 0
+
+
+def test_check_knows_this_computers_addresses(run, config, monkeypatch):
+    """One that stands for the other end is a fault there, as when arpd starts; not where the file is for another."""
+    monkeypatch.setattr(addresses, "ends_of_route", lambda name: ("10.0.0.1", name))
+    path = config("relay: {link_domain: 77, base: 10.0.0.1}")
+    code, out, err = run("check", path)
+    assert (code, out) == (78, "")
+    assert err.startswith(f"{path}:1:32: relay.base: 10.0.0.1 is an address of this computer, where arpd-peer ")
+    assert [run("check", option, path)[0] for option in ("--far", "--no-interfaces")] == [0, 0]
 
 
 @pytest.mark.parametrize(
