@@ -21,10 +21,18 @@ _LEAST_OVERHEAD_S = 50e-6
 _LEAST_OVERHEAD = 0.03  # of the time a large packet takes
 
 
+class Seen(NamedTuple):
+    """Capacity that a train saw (bytes/s), and whether that is its sender's pace, which the link carries at least."""
+
+    rate: float
+    is_bound: bool
+
+
 class _Reading(NamedTuple):
     at_s: float
     packet_bytes: float
     packet_s: float
+    is_bound: bool
 
 
 class _Pair(NamedTuple):
@@ -59,7 +67,9 @@ class TrainLog:
         """Note a train of a report; each of its packets crossed the link ``copies`` times, once per peer."""
         if train.packets < 1 or train.duration_s <= 0 or train.payload_bytes <= 0:
             return
-        reading = _Reading(now_s, train.payload_bytes / train.packets, train.duration_s / train.packets / copies)
+        is_bound = train.sent_s >= _SENDER_LIMITED * train.duration_s
+        packet_bytes, packet_s = train.payload_bytes / train.packets, train.duration_s / train.packets / copies
+        reading = _Reading(now_s, packet_bytes, packet_s, is_bound)
         large = self._large[-1] if self._large else None
         if large is None or reading.packet_bytes > _SMALL * large.packet_bytes:
             self._large.append(reading)
@@ -71,13 +81,15 @@ class TrainLog:
             if reading.packet_s > least_s:
                 return  # a small packet is never slower than a large one, so other traffic came in between
             excess = reading.packet_s * large.packet_bytes - least_s * reading.packet_bytes
-            is_bound = train.sent_s >= _SENDER_LIMITED * train.duration_s
             self._pairs.append(_Pair(excess / (large.packet_bytes - reading.packet_bytes), is_bound, least_s))
 
-    def take(self, *, packet_overhead_s: float) -> list[float]:
-        """Return the capacities that large trains saw since the last call, C = s / (T − t_ovh) (bytes/s)."""
+    def take(self, *, packet_overhead_s: float) -> list[Seen]:
+        """Return what large trains saw since the last call, C = s / (T − t_ovh)."""
         fresh, self._fresh = self._fresh, []
-        return [each.packet_bytes / max(each.packet_s - packet_overhead_s, 0.1 * each.packet_s) for each in fresh]
+        return [
+            Seen(each.packet_bytes / max(each.packet_s - packet_overhead_s, 0.1 * each.packet_s), each.is_bound)
+            for each in fresh
+        ]
 
     def clear(self) -> None:
         """Forget the capacities; the overhead of a packet depends on the radio, and stays."""

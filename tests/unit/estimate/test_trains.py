@@ -8,6 +8,9 @@ from arpd.estimate import probes
 from arpd.estimate.trains import TrainLog
 from arpd.model.probing import Train
 from arpd.model.wire import probe_wire_bytes
+from tests.unit.estimate.test_estimator import FIRST, SIZE
+from tests.unit.estimate.test_estimator import PACKETS as SOME_PACKETS
+from tests.unit.estimate.test_estimator import Link as MeasuredLink
 
 LARGE = probe_wire_bytes(probes.PACKET_BYTES)
 SMALL = probe_wire_bytes(probes.SMALL_PACKET_BYTES)
@@ -48,7 +51,7 @@ def test_pairs_tell_capacity_and_overhead_exactly(link, copies):
         link.pair(copies=copies)
     assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
     taken = [link.log.take(packet_overhead_s=link.log.packet_overhead_s) for _ in range(2)]
-    assert taken == [pytest.approx([link.capacity] * PAIRS, rel=1e-6), []]
+    assert [[seen.rate for seen in each] for each in taken] == [pytest.approx([link.capacity] * PAIRS, rel=1e-6), []]
     link.train(LARGE)
     link.log.clear()
     assert link.log.take(packet_overhead_s=0.0) == []
@@ -71,3 +74,13 @@ def test_a_sender_that_is_slower_than_the_link_shows_no_overhead(link, sent):
     for _ in range(PAIRS):
         link.pair(sent=sent)
     assert link.log.packet_overhead_s == 0.0
+
+
+@pytest.mark.parametrize(("times", "least", "most"), [(0.3, 0.9, 1.1), (3.0, 2.9, 4.0)])
+def test_a_train_that_arrives_as_it_left_shows_only_what_the_link_carries_at_least(times, least, most):
+    """A sender that is slower than the link makes no link slow: its trains raise the capacity, and never lower it."""
+    link = MeasuredLink().measured()
+    duration_s = SIZE / (times * FIRST)
+    train = Train(payload_bytes=SIZE, duration_s=duration_s, packets=SOME_PACKETS, sent_s=0.9 * duration_s)
+    estimate = link.ticks(10, trains=[train])
+    assert least < estimate.capacity_bytes_per_second / FIRST < most
