@@ -198,13 +198,16 @@ class AdaptivePublisher:
                 writer.publisher.assert_liveliness()
 
     def finish(self) -> None:
-        """Write what waits: at its end a plain publisher has written all, for example a robot's command to stop."""
-        rest = self._thread.rest_of(self._flow.lane)
+        """Write what waits, for example a robot's command to stop, and wait shortly until the readers have it."""
+        rest, writer = self._thread.rest_of(self._flow.lane), self._flow.swap.current
         try:
             for sample in [*self._flow.rest(), *rest]:
-                self._flow.swap.current.publish_late(sample)
+                writer.publish_late(sample)
         finally:
             self._thread.release(self._flow.lane)
+        until_s = self._thread.heard_by_s()
+        while not writer.is_acknowledged() and time.monotonic() < until_s:
+            time.sleep(_POLL_S)  # nobody repeats what a writer that is gone has written
 
     def destroy(self) -> None:
         """Write what waits, and destroy all writers; `Node.destroy_publisher` and `Node.destroy_node` do so, too."""

@@ -43,6 +43,7 @@ class RosWriter:
     ----------
     publish : writes one serialized sample
     publish_late : does so also after the context has been shut down
+    is_acknowledged : returns whether every sample written was acknowledged
     """
 
     def __init__(
@@ -63,16 +64,12 @@ class RosWriter:
         self.publisher = create(event_callbacks=self._filtered(event_callbacks))
         outlet = Outlet(self.publisher.handle)  # rclpy would hold the interpreter while the link is full
         self.publish, self.publish_late = outlet.publish, outlet.publish_late
+        self.is_acknowledged = outlet.is_acknowledged
         self.deadline_ns = period_ns(self.publisher.qos_profile.deadline)
 
     def matched(self) -> int:
         """Count the matched readers."""
         return int(self.publisher.get_subscription_count())
-
-    def is_acknowledged(self) -> bool:
-        """Return whether every sample written was acknowledged."""
-        # A longer timeout would block the pacing thread (docs/design.md, DDS facts).
-        return bool(self.publisher.wait_for_all_acked(Duration(seconds=0)))
 
     def readers_acknowledge(self) -> bool:
         """Return whether the readers acknowledge what arrives."""

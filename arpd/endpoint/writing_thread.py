@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _RETRY_S = 0.1
 _IDLE_S = 1.0  # most between two turns, for the watchdog
 _LAST_S = 2.0  # that a link may take for the last samples
+_HEARD_S = 0.3  # that their readers may take to acknowledge them: six heartbeats of arpd's profile
 _BLOCKED_S = 0.05  # a scheduler takes less
 _SHUN = 20.0  # times the duration of the write, so that writes block a caller for a twentieth of its time at most
 
@@ -81,6 +82,7 @@ class WritingThread:
         self._has_ended = False  # and written what waited: nobody paces what comes still
         self._next_s = 0.0  # when the thread wakes
         self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
+        self._ending_s = -math.inf  # when the first of those began to end that end now
         self.finished_s = clock()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -122,6 +124,12 @@ class WritingThread:
             self._wait_for(lane)
             lane.claimant = threading.get_ident()
             return self._decide(partial(self._queue.rest_of, lane, self._clock())) or []
+
+    def heard_by_s(self) -> float:
+        """Return until when a topic that ends may wait for its readers; all that end at once have one such time (s)."""
+        if (now_s := time.monotonic()) > self._ending_s + _LAST_S:
+            self._ending_s = now_s
+        return self._ending_s + _HEARD_S
 
     @property
     def topics(self) -> int:

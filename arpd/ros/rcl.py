@@ -27,6 +27,7 @@ class Allocator(ctypes.Structure):
     )
 
 
+_TIMEOUT = 2  # RMW_RET_TIMEOUT
 _REST_OF_ARRAY = (("length", ctypes.c_size_t), ("capacity", ctypes.c_size_t), ("allocator", Allocator))
 
 
@@ -83,6 +84,7 @@ class Rcl:
         self.take = function(rcl, "rcl_take_serialized_message", takes=4)
         self.publish = function(rcl, "rcl_publish_serialized_message", takes=3)
         self.publish_late = function(rcl, "rmw_publish_serialized_message", takes=3)
+        self.is_acknowledged = function(rcl, "rmw_publisher_wait_for_all_acked", takes=3)  # a time is two numbers
         self.notify_reader = function(rcl, "rcl_subscription_set_on_new_message_callback", takes=3)
         self.notify_server = function(rcl, "rcl_service_set_on_new_request_callback", takes=3)
         self.notify_client = function(rcl, "rcl_client_set_on_new_response_callback", takes=3)
@@ -144,6 +146,12 @@ class Outlet:
         """Publish a sample as `publish` does; rcl would refuse it once its context has been shut down."""
         with self._handle:
             self._publish(self._rcl.publish_late, self._rcl.rmw_publisher(self._pointer), sample)
+
+    def is_acknowledged(self) -> bool:
+        """Return whether no sample waits for an acknowledgement, also once the context has been shut down."""
+        with self._handle:
+            # A longer timeout would block the pacing thread (docs/design.md, DDS facts).
+            return bool(self._rcl.is_acknowledged(self._rcl.rmw_publisher(self._pointer), 0, 0) != _TIMEOUT)
 
     def _publish(self, function: Any, pointer: int, sample: bytes) -> None:
         message = self._message

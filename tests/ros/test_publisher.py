@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -254,6 +255,21 @@ def test_the_last_sample_leaves_at_the_end(ros, eventually, end):
     else:
         node.context.shutdown()
     eventually("the last one arrives", lambda: received[-1] == "stop")
+
+
+def test_who_ends_waits_shortly_for_the_readers_of_the_last_sample(node, publisher, monkeypatch):
+    """Nobody would repeat the robot's command to stop; readers that are gone hold up all topics of a node together."""
+    answers = [True, False, False]
+    monkeypatch.setattr(publisher._flow.swap.current, "is_acknowledged", answers.pop)
+    publisher.destroy()
+    assert not answers
+    monkeypatch.setattr(publisher._thread, "_ending_s", -math.inf)
+    others = [AdaptivePublisher(node, String, f"/other_{number}", 10) for number in range(20)]
+    for each in others:
+        monkeypatch.setattr(each._flow.swap.current, "is_acknowledged", lambda: False)
+    begun_s = time.monotonic()
+    node.destroy_node()
+    assert 0.2 < time.monotonic() - begun_s < 20 * 0.2
 
 
 def test_a_destroyed_node_leaves_nothing_and_the_others(ros, publisher, background, eventually):
