@@ -49,8 +49,9 @@ def status_line(relay: RelaySummary, *, is_far: bool, is_met: bool, second_ends:
         return f"the {there}'s end cannot be used: {relay.fault}"
     if not is_met:
         return f"waiting for the {there}'s end; {leaving.offered} topics of the {here} could cross"
+    cross = "cross" if relay.is_reachable else "wait to cross"
     line = (
-        f"{leaving.wanted} of {leaving.offered} topics cross to the {there}, "
+        f"{leaving.wanted} of {leaving.offered} topics {cross} to the {there}, "
         f"{entering.wanted} of {entering.offered} to the {here}"
     )
     if not relay.is_reachable:

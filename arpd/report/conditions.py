@@ -106,7 +106,7 @@ class Condition(StrEnum):
     @property
     def phrase(self) -> str:
         """The headline inside a sentence."""
-        return self.headline[0].lower() + self.headline[1:]
+        return self.headline if self is Condition.POSTPONED else self.headline[0].lower() + self.headline[1:]
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,13 +41,15 @@ class RatesLog:
             return
         self._due_s = now_s + _EVERY_S
         # Of several publishers of a topic the one that is slowed most counts, as in the verdict.
-        now = {slowed.topic: slowed for slowed in reversed(slowed_topics(topic_rows(snapshot)))}
+        rows = topic_rows(snapshot)
+        now = {slowed.topic: slowed for slowed in reversed(slowed_topics(rows))}
         if now.keys() == self._logged.keys() and not any(_is_far(now[topic], self._logged[topic]) for topic in now):
             self._news_since_s = math.inf
             return
         self._news_since_s = min(self._news_since_s, now_s)
         if now_s - self._news_since_s >= _LASTS_S:
-            yield _event(self._logged, now)
+            there = {row.topic for row in rows if row.allocation}
+            yield _event({topic: row for topic, row in self._logged.items() if topic in there}, now)
             self._logged, self._news_since_s = now, math.inf
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _DRAINS_BELOW = 0.5  # of what is usable; a budget above this follows the link, and does not drain a queue
+_MUCH_CROSS = 0.1  # of the capacity; what is less explains little
 _LEAST_BUDGET = 0.001  # of the capacity; less is nothing to people
 _STEPS = 20  # of the allowed part in the line for systemd, which sends each change to everybody who watches
 _EMPTY_QUEUE_S = 0.001
@@ -249,9 +250,10 @@ def _is_draining(snapshot: Snapshot) -> bool:
 
 def _budget(snapshot: Snapshot) -> str:
     budget, capacity = snapshot.allocation.budget_bytes_per_second, snapshot.link.capacity_bytes_per_second
-    if budget < _LEAST_BUDGET * capacity:
-        return f"topics may use next to nothing of {format_rate(capacity)}"
-    return f"topics may use {format_rate(budget)} of {format_rate(capacity)}"
+    most = format_rate(budget) if budget >= _LEAST_BUDGET * capacity else "next to nothing"
+    cross = snapshot.link.cross_traffic_bytes_per_second
+    beside = f" beside {format_rate(cross)} of cross traffic" if cross > _MUCH_CROSS * capacity else ""
+    return f"topics may use {most} of {format_rate(capacity)}{beside}"
 
 
 def who_confirmed(snapshot: Snapshot) -> str:

@@ -2,8 +2,9 @@
 
 import pytest
 
+from arpd.model.relay import RelaySummary
 from arpd.relay.ends.offers import EndState, TopicOffer, WriterOffer
-from arpd.relay.status import topics_of
+from arpd.relay.status import status_line, topics_of
 
 
 def offer(*nodes):
@@ -24,3 +25,11 @@ def test_diagnostics_of_arpd_alone_are_no_topic_that_could_cross(nodes, wants, o
     sender = EndState(session=1, topics={"/scan": offer(*nodes)})
     found = topics_of(sender, EndState(session=2, wants=frozenset(wants)))
     assert (found.offered, found.wanted) == (offered, len(wants))
+
+
+def test_no_topic_is_said_to_cross_while_the_other_end_is_silent():
+    """The line says that they wait."""
+    silent = status_line(RelaySummary(is_reachable=False), is_far=False, is_met=True, second_ends=())
+    assert silent.startswith(
+        "the base computer's end is silent; 0 of 0 topics wait to cross to the base computer, 0 of"
+    )

@@ -200,6 +200,15 @@ def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
     assert "/camera 30 → 2.1 Hz" in slowed.text  # of several publishers the one that is slowed most
 
 
+def test_a_topic_that_has_left_is_not_told_to_send_more(log):
+    """Nobody sends it any longer, so the link does not let it."""
+    first(log)
+    log.wait(12.0, topics=FELL, confirmed=4)
+    publishers = [each for each in log.snapshot.observation.publishers if each.topic != "/camera"]
+    told = [event for event in log.wait(12.0, publishers=publishers, topics=FULL[1:]) if event.kind == "rates"]
+    assert [event.text for event in told] == ["the link slows no topic any longer: /front and /rear 12 → 20 Hz"]
+
+
 # -- publishers
 
 

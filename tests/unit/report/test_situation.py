@@ -77,6 +77,7 @@ def test_faults_stand_beside_the_verdict_the_worst_first():
     wrong = ["stale", "reload_refused", "relay_cut", "relay_refuses", "left_out", "unconfirmed"]
     assert [fault.condition for fault in faults if fault.condition.is_wrong] == wrong
     assert [fault.condition for fault in faults[len(wrong) :]] == ["restart_needed", "postponed"]
+    assert faults[-1].phrase.startswith("QoS changes postponed: limit")
     assert "the last one finished 4 s ago" in faults[0].text
     assert "/cmd: not let in; also /scan" in faults[3].text
     assert "46 publishers of /node and /relay have no plan" in faults[4].text
@@ -96,6 +97,13 @@ def test_a_relay_is_not_called_silent_while_the_link_is_out():
     for state, is_found in ((LinkState.OUTAGE, False), (LinkState.STEADY, True)):
         silent = held(changed(observation={"relay": None, "is_relay_silent": True}, link={"state": state}))
         assert (Condition.RELAY_SILENT in findings(silent)) is is_found
+
+
+def test_cross_traffic_that_takes_much_of_the_link_stands_in_the_sentence():
+    """Else nobody knows why topics may use so little of it."""
+    for cross, words in ((1.25e6, "20 Mbit/s beside 10 Mbit/s of cross traffic, and"), (1e5, "20 Mbit/s, and")):
+        link = {"capacity_bytes_per_second": 2.5e6, "cross_traffic_bytes_per_second": cross}
+        assert words in judge(changed(link=link)).verdict.text
 
 
 @pytest.mark.parametrize("condition", [each for each in Condition if each.holds_s and each is not Condition.STALE])
