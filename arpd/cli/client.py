@@ -30,6 +30,7 @@ _FOR_CERTIFICATE = "for a client certificate, which arpd cannot present; ask its
 _MOST_BYTES = 16 * 2**20
 _LONGEST = 400  # characters of a text
 _LARGEST = 2**63  # counts beyond it are nonsense
+_OTHER_NAME = {62, 64}  # X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _NOT_NOW = {9, 10}  # X509_V_ERR_CERT_NOT_YET_VALID, X509_V_ERR_CERT_HAS_EXPIRED: x509_vfy.h
 
 
@@ -190,6 +191,7 @@ def _shown(part: Any) -> Any:
 def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
     if isinstance(error, ssl.SSLCertVerificationError):
         hint = "compare the clocks of both computers" if error.verify_code in _NOT_NOW else "name its CA with --cacert"
+        hint = "write a name that it has in --url" if error.verify_code in _OTHER_NAME else hint
         why = f"the certificate of {url} is not trusted ({error.verify_message}); {hint}"
     elif isinstance(error, ssl.SSLEOFError):  # whether its alert is read before the end of the connection is chance
         why = f"{url} broke off TLS, so it speaks no https, or asks {_FOR_CERTIFICATE}"

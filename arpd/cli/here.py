@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.client import Daemon
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.config.load import load_settings, local_domain
+from arpd.host.config.yaml_source import YamlSource
 from arpd.host.discovery import HeardDiscovery, listen
 from arpd.host.interface import index_of, interface_to, likeliest_interface, list_interfaces
 from arpd.host.services import OF_ARPD, service_states, used_on_base
@@ -95,7 +97,7 @@ class Here:
         http, address = self.settings.http, self._options.url
         if address.url == DEFAULT_URL:
             http = replace(http, host="127.0.0.1") if http.host in _ANY else http
-            url = f"http://{http.netloc}"
+            url = f"{self._scheme()}://{http.netloc}"
             address = Address(url, http.host, url)
         try:
             with Daemon(self._options, address) as daemon:
@@ -105,6 +107,14 @@ class Here:
         except ArpdError as error:
             is_silent = isinstance(error, NoAnswerError) and not self._is_remote
             return NotKnownError(f"{error}{' On the base computer, name the robot with --url' if is_silent else ''}")
+
+    def _scheme(self) -> str:
+        """Return what the daemon speaks, as far as this user may read the web-config; the key is for arpd alone."""
+        if web_config := self.settings.http.web_config:
+            with suppress(ConfigError):
+                if "tls_server_config" in YamlSource(next(iter(self.faults)).parent / web_config).data:
+                    return "https"
+        return "http"
 
     def _find_interface(self) -> str:
         """Return the interface that the daemon or the file names, else that of the route to the other end, or a guess.

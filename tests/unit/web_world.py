@@ -19,11 +19,11 @@ HASH = "$2b$04$V6AVDWFlCxZ0TMny6MV7/OWaCOypm86N.zgDpkWCy0lTN9.r63kki"
 PASSWORD = "correct horse"
 
 
-def make_certificate(folder, name, *, issuer=""):
+def make_certificate(folder, name, *, issuer="", names="DNS:localhost,IP:127.0.0.1"):
     """Make name.crt and name.key, self-signed or issued by another made here."""
     command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
     command += ["-days", "3650", "-subj", f"/CN={name}", "-keyout", f"{name}.key", "-out", f"{name}.crt"]
-    command += ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
+    command += ["-addext", f"subjectAltName={names}"]
     if issuer:
         command += ["-CA", f"{issuer}.crt", "-CAkey", f"{issuer}.key"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)

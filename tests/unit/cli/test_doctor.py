@@ -168,6 +168,17 @@ def test_a_daemon_without_a_port_is_not_known(run, config):
     }
 
 
+def test_a_daemon_with_tls_is_asked_by_https(run, config, tmp_path):
+    """The web-config says so; where this user may not read it, the file is no fault."""
+    path = config("http: {port: 1, web_config: web.yaml}\n")
+    (tmp_path / "web.yaml").write_text("tls_server_config: {cert_file: robot.crt, key_file: robot.key}\n")
+    assert "no daemon answers at https://127.0.0.1:1 " in run("doctor", "--json", "--config", path)[1]
+    (tmp_path / "web.yaml").unlink()
+    out = run("doctor", "--json", "--config", path)[1]
+    assert "no daemon answers at http://127.0.0.1:1 " in out
+    assert healths(out)["configuration"] == "fine"
+
+
 def test_a_file_that_is_named_is_there(run, tmp_path):
     """A name with a typo is an error, as everywhere, and no check that was not possible."""
     code, out, err = run("doctor", "--config", tmp_path / "typo.yaml")

@@ -123,6 +123,14 @@ def test_status_names_the_clocks_where_a_certificate_is_not_valid_now(folder, st
         assert (code, "compare the clocks of both computers" in err, "--cacert" in err) == (3, True, False)
 
 
+def test_status_asks_for_a_name_of_the_certificate(folder, status):
+    """Where the certificate is the robot's, and the address another one of its names, a CA would change nothing."""
+    make_certificate(folder, "named", names="DNS:robot.local")
+    with running(folder, TLS.replace("server.", "named.")) as world:
+        code, _, err = status(world.server.url, "--cacert", str(folder / "named.crt"))
+        assert (code, "a name that it has in --url" in err, "--cacert" in err) == (3, True, False)
+
+
 def test_status_gives_its_password_to_nobody_else(folder, status):
     """If the daemon's address leads elsewhere, `arpd status` says so, and does not go there."""
     seen = []
