@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 REPEAT_S = 1.0
 MOST_CALLS = 1000  # that wait, that run, and whose outcomes are kept
+_MOST_OF_SERVICE = 500  # of those that wait: a server that hangs leaves room for the calls of others
 MOST_BYTES = 64_000_000  # of the requests that wait, and of the outcomes that are kept
 _MOST_MESSAGE = 250  # characters
 _HEADER = struct.Struct(">BIQ")  # kind, session that it is meant for, number
@@ -206,8 +207,12 @@ class CallBook:
         body = f"{request.service}\0{request.type_name}\0".encode() + request.body
         record = Record(Kind.REQUEST, self._other, self._number + 1, body).encode()
         size = sum(len(call.request) for call in self._waiting.values()) + len(record)
-        if len(self._waiting) >= MOST_CALLS or size > MOST_BYTES:
-            words = f"more than {MOST_CALLS} calls, or {MOST_BYTES} bytes of their requests, would wait"
+        of_service = sum(call.service == request.service for call in self._waiting.values())
+        if len(self._waiting) >= MOST_CALLS or of_service >= _MOST_OF_SERVICE or size > MOST_BYTES:
+            words = (
+                f"more than {MOST_CALLS} calls, {_MOST_OF_SERVICE} of one service, or {MOST_BYTES} bytes of their "
+                "requests, would wait"
+            )
             on_end(CallFailure(FailureReason.BUSY, words))
             return
         self._number += 1

@@ -224,6 +224,19 @@ def test_memory_is_bounded_by_bytes(monkeypatch):
     assert link.outcomes[-1] == LARGE
 
 
+def test_a_server_that_hangs_leaves_room_for_the_calls_of_others():
+    """However many of its calls wait, a goal can be cancelled."""
+    link = Link()
+    for _ in range(calls.MOST_CALLS):
+        link.call()
+    link.outcomes.clear()
+    link.call(request=Request("/go/_action/cancel_goal", "action_msgs/srv/CancelGoal", b""))
+    link.deliver()
+    link.finish()
+    link.deliver()
+    assert link.outcomes == [ANSWER]
+
+
 def test_memory_is_bounded_by_number(monkeypatch):
     """Only so many calls wait, and run, and so many outcomes are kept; a call that runs is not forgotten for others."""
     link = Link()
