@@ -139,7 +139,7 @@ class LinkQueue(PacedQueue):
         """Take a sign of life of the other end; return its session. Raises ValueError if the bytes are none."""
         sign = decode_sign(data)
         is_of_partner = self._is_of_partner(sign.session, now_s)
-        if sign.receipt.session == self._session:
+        if is_of_partner and sign.receipt.session == self._session:
             self.flight.confirm(sign.receipt, now_s)
         arrived_s = now_s + self._asleep_s()
         if sign.number and is_of_partner:

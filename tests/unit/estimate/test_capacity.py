@@ -24,6 +24,19 @@ def test_pings_show_by_and_by_how_busy_a_link_is(part, was_idle):
     assert stated == sorted(set(stated), reverse=not was_idle)
 
 
+@pytest.mark.parametrize(("part", "is_news"), [(2.0, True), (0.5, False)])
+def test_what_arrives_shows_the_least_that_a_link_carries(part, is_news):
+    """More than was believed possible raises the capacity, and less says nothing of it."""
+    belief = CapacityBelief(C)
+    for _ in range(5):
+        belief.train(C)
+    before = belief.stated(math.inf)
+    for _ in range(5):
+        belief.carried(part * C)
+    assert (belief.stated(math.inf) > 1.5 * before) == is_news
+    assert is_news or belief.stated(math.inf) == pytest.approx(before, rel=0.01)
+
+
 def test_new_evidence_outweighs_any_amount_of_old():
     """After minutes of the same readings, a link that changed is known as soon as after seconds."""
     belief = CapacityBelief(C)

@@ -70,6 +70,17 @@ def test_an_outage_is_noticed_in_time_and_ends_with_a_receipt(trip_s, trips, unc
     assert ends.now_s < ends.flight.out_s
 
 
+def test_a_queue_that_stays_on_the_link_drains():
+    """Less is sent than the link carries while all is late, and a little more than its share again afterwards."""
+    ends = Ends()
+    for late_s, is_drained in ((0.0, True), (0.1, False), (0.0, True)):
+        for _ in range(30):
+            ends.send()
+            ends.now_s += 0.01 + late_s
+            ends.confirm(1)
+        assert (ends.flight.relief > 1.0) == is_drained, late_s
+
+
 def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
     """After a restart of the other end sending goes on."""
     ends = Ends()

@@ -362,6 +362,10 @@ def test_another_robots_end_in_the_link_domain_spoils_no_account():
         return decode_sign(end.take_sign(now_s)).receipt
 
     end.follow(other, 0.0)
+    sent = end.flight.send(1000, 0.0)
+    for each, is_on_its_way in ((stranger, True), (other, False)):  # both read what is sent
+        end.hear(encode_sign(Sign(each, receipt=Receipt(session=1, number=sent, at_us=1))), 0.1)
+        assert math.isfinite(end.flight.out_s) == is_on_its_way
     sends(other, 1, 0.1)
     size = receipt(0.5).received
     for number, now_s in enumerate((1.0, 1.5), start=2):
