@@ -27,6 +27,7 @@ _UNKNOWN_PACKETS = 4
 # Small messages wait for others: so many packets' time, at most so long, and so long on any link, because a packet
 # costs both ends as much as the samples in it.
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
+_WAY_S = 0.02  # beyond the last sign that this process lacks the processor
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
@@ -75,6 +76,7 @@ class LinkQueue(PacedQueue):
         self._turns = Turns(super()._finish)
         self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
+        self._way_s = -math.inf  # until when large messages make way
         self._was_out = False
         self._received = Received()
         self._received_bytes = 0.0  # on the link
@@ -160,6 +162,10 @@ class LinkQueue(PacedQueue):
         return self.sent_bytes + int(self._received_bytes)
 
     # -- what waits
+
+    def make_way(self, now_s: float) -> None:
+        """Let large messages wait a moment, because small ones wait for the processor that their chunks take."""
+        self._way_s = now_s + _WAY_S
 
     def remove(self, lane: Lane) -> None:
         """Serve it no more, if it is served; what waits is withheld."""
@@ -301,6 +307,9 @@ class LinkQueue(PacedQueue):
         return int((now_s + self._asleep_s()) * 1e6) % WRAP
 
     # -- the daemon's price
+
+    def _free_s(self, now_s: float) -> float:
+        return max(super()._free_s(now_s), self._way_s)
 
     @property
     def _drain_rate(self) -> float:

@@ -29,6 +29,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
 from arpd.ros.attached import attached
+from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.rcl import InvalidHandle, MessageInfo, is_live, rcl
 
 if TYPE_CHECKING:
@@ -42,9 +43,10 @@ log = logging.getLogger(__name__)
 _LEAST_BYTES = 4  # the header of every serialized message
 _NOBODY = bytes(16)
 _MOST_REPEATS = 100
-_MOST_AT_ONCE = 32  # samples of one reader before the next reader's turn
+_MOST_AT_ONCE, _MOST_BYTES_AT_ONCE = 32, 100_000  # samples of one reader before the next reader's turn
 _TURN_S = 1.0  # longest wait for a sample, and between two looks at every reader
 _ALL = 1_000_000  # announced where nobody has counted
+LATE_S = 0.5  # beyond that an outage lies between, and the newest sample of each writer is wanted
 _LEAST_DEPTH, _ROOM = 2, 2.0  # a new endpoint costs something, so one is made where twice the bytes would be held
 _NOTHING = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
 REST_S = 0.005  # of threads that read messages of arpd: then no flood takes the processor
@@ -61,6 +63,11 @@ class Sample(NamedTuple):
     sequence: int
     sent_ns: int = 0
     received_ns: int = 0
+
+
+def is_late(sample: Sample, late_s: float) -> bool:
+    """Return whether a sample has waited here for longer than that (s); never where nobody noted its arrival."""
+    return 0 < sample.received_ns < time.time_ns() - late_s * 1e9
 
 
 class Inlet(Protocol):
@@ -115,6 +122,7 @@ class ReadingThread:
         self._readers: dict[int, Inlet] = {}  # by the event that the middleware writes
         self._retired: deque[int] = deque()  # events of nobody; this thread may still be about to read one
         self._events = select.epoll()
+        self._logged = OncePerMinute()
         self._stopping = threading.Lock()  # taken by who stops the thread, for good
         self._woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._events.register(self._woken, select.EPOLLIN)
@@ -191,6 +199,12 @@ class ReadingThread:
         self.finished_s = self._clock()
         return self.finished_s
 
+    def say_late(self, name: str) -> None:
+        """Say that samples of a topic were left out; only for this thread."""
+        if self._logged.take("", self._clock()):
+            why = f"its samples waited for more than {LATE_S:g} s, and the newest of each writer goes on"
+            log.warning("this computer is too busy for %s: %s (logged once a minute for all topics)", name, why)
+
     def _close_retired(self) -> None:
         while self._retired:
             os.close(self._retired.popleft())
@@ -253,6 +267,8 @@ class RawReader:
     msg_type : message class; no message is decoded
     deliver : called with every sample, in the thread
     most_held_bytes : what may wait for the thread; a reader whose samples are too large for that gets a smaller depth
+    is_kept : whether samples are delivered, too, that are late because this computer is busy, where newer ones of their
+        writer wait
     """
 
     def __init__(
@@ -265,11 +281,12 @@ class RawReader:
         deliver: Callable[[Sample], None],
         thread: ReadingThread,
         most_held_bytes: int | None = None,
+        is_kept: bool = True,
     ) -> None:
         self.name, self.notify, self._thread = topic, rcl().notify_reader, thread
         self._deliver = deliver
         self._node, self._msg_type, self._qos = node, msg_type, qos
-        self._most_held_bytes = most_held_bytes
+        self._most_held_bytes, self._is_kept = most_held_bytes, is_kept
         self._lock = threading.Lock()
         self._is_destroyed = False
         self._last = (b"", 0, 0)  # writer and number of the newest sample, and when it left
@@ -304,16 +321,22 @@ class RawReader:
         To ask for one more, only to hear that there is none, would cost as much as to take it.
         """
         thread = self._thread
+        late: dict[bytes, Sample] = {}  # by writer
+        size = 0
         for _ in range(_MOST_AT_ONCE):
             # Under the lock, because a node with a reader in use stays in the graph beyond its `destroy_node`.
             with self._lock:
                 sample = thread.take(self.handle) if announced > 0 and not self._is_destroyed else None
             if sample is None:
-                return 0
+                announced = 0
+                break
             if self._is_new(sample):
                 announced -= 1
-                self._deliver(sample)
-                if not self._has_room_for(sample):
+                size += len(sample.data)
+                if late.pop(sample.writer, None):
+                    thread.say_late(self.name)
+                late[sample.writer] = sample
+                if (self._is_kept or not is_late(sample, LATE_S)) and not self._deliver_all(late):
                     return 0
             elif self._repeats > _MOST_REPEATS:
                 log.warning("%s gives one sample again and again; a new reader takes its place", self.name)
@@ -321,11 +344,28 @@ class RawReader:
                 self._begin_again()
                 return 0
             thread.note_finished()
-        return announced
+            if size > _MOST_BYTES_AT_ONCE:
+                break
+        return announced if self._deliver_all(late) else 0
+
+    def _deliver_all(self, samples: dict[bytes, Sample]) -> bool:
+        """Deliver these, which are none then; return whether the reader goes on."""
+        while samples:
+            sample = samples.pop(next(iter(samples)))
+            self._deliver(sample)
+            if not self._has_room_for(sample):
+                return False
+            self._thread.note_finished()
+        return True
 
     def _has_room_for(self, sample: Sample) -> bool:
-        """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one."""
+        """Return whether its depth of such samples is within bounds; if not, begin again with a smaller one.
+
+        Where large samples come late the middleware may drop them: to take each only to pass over it costs more.
+        """
         depth = bounded_depth(self._qos.depth, sample.data, self._most_held_bytes)
+        if not self._is_kept and len(sample.data) > _MOST_BYTES_AT_ONCE and is_late(sample, LATE_S):
+            depth = min(depth, _LEAST_DEPTH)
         if depth == self._qos.depth:
             return True
         self._qos.depth = depth

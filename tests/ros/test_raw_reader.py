@@ -3,11 +3,13 @@
 import os
 import select
 import threading
+import time
 
 import pytest
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
+from arpd.ros import raw_reader
 from arpd.ros.raw_reader import RawReader, ReadingThread
 
 
@@ -24,9 +26,9 @@ def connect(ros, thread, eventually):
     node = ros.node("raw_reader_check")
     readers = []
 
-    def connect(deliver, topic="/raw_reader_check", by=thread):
+    def connect(deliver, topic="/raw_reader_check", by=thread, **more):
         qos = QoSProfile(depth=1000)
-        reader = RawReader(node, String, topic, qos, deliver=deliver, thread=by)
+        reader = RawReader(node, String, topic, qos, deliver=deliver, thread=by, **more)
         readers.append(reader)
         publisher = ros.node("talker").create_publisher(String, topic, qos)
         eventually("the reader matches", lambda: publisher.get_subscription_count() == 1)
@@ -120,3 +122,54 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(connect, th
     publisher.publish(String(data="three"))
     eventually("the third sample arrives", lambda: taken[-1].data.endswith(b"three\0"))
     assert len({sample.sequence for sample in taken}) == len(taken)
+
+
+@pytest.fixture
+def busy(connect, eventually, monkeypatch):
+    """Keep the thread busy, beyond what is late; return what ends that."""
+    monkeypatch.setattr(raw_reader, "LATE_S", 0.1)
+    is_busy, gate = threading.Event(), threading.Event()
+
+    def deliver(_sample):
+        is_busy.set()
+        gate.wait()
+
+    connect(deliver, "/busy")[1].publish(String(data="x"))
+    eventually("the thread is busy", is_busy.is_set)
+    yield gate.set
+    gate.set()
+
+
+@pytest.mark.parametrize(("is_kept", "expected"), [(False, 1), (True, 20)])
+def test_of_what_waited_for_a_busy_computer_the_newest_of_each_writer_is_delivered(
+    connect, busy, eventually, is_kept, expected
+):
+    """Where each counts all are; either way a sample of another writer, and one that comes later, is delivered."""
+    taken = []
+    reader, publisher = connect(taken.append, is_kept=is_kept)
+    other = reader._node.create_publisher(String, "/raw_reader_check", QoSProfile(depth=1000))
+    eventually("the reader matches", lambda: other.get_subscription_count() == 1)
+    other.publish(String(data="other"))
+    for number in range(20):
+        publisher.publish(String(data=str(number)))
+    time.sleep(0.3)
+    busy()
+    eventually("late samples are delivered", lambda: len(taken) == 1 + expected)
+    publisher.publish(String(data="later"))
+    eventually("a later one is, too", lambda: len(taken) == 2 + expected)
+    assert [sample.data[8:-1] for sample in taken[-2:]] == [b"19", b"later"]
+
+
+def test_small_samples_wait_for_one_large_one_of_a_topic_and_late_large_ones_for_nobody(connect, busy, eventually):
+    """A reader whose large samples came late has a smaller depth from then on."""
+    taken = []
+    reader, large = connect(taken.append, "/large", is_kept=False, most_held_bytes=10**9)
+    _, small = connect(taken.append, "/small")
+    for _ in range(10):
+        large.publish(String(data="x" * 200_000))
+    small.publish(String(data="small"))
+    time.sleep(0.3)
+    busy()
+    eventually("the small sample is taken", lambda: any(len(sample.data) < 100 for sample in taken))
+    assert len(taken) <= 2
+    eventually("the reader begins again", lambda: reader._qos.depth == 2)

@@ -78,6 +78,11 @@ class LinkThread(WritingThread):
             if self.queue.follow(partner, self._clock()):
                 self._wake(0.0)
 
+    def make_way(self) -> None:
+        """Let large messages wait a moment; `LinkQueue.make_way` says more."""
+        with self._changed:
+            self.queue.make_way(self._clock())
+
     def arrived(self, sample: bytes, *, is_together: bool = False) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; `LinkQueue.arrived` says more."""
         with self._changed:

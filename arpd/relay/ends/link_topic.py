@@ -21,6 +21,7 @@ from arpd.relay.sets import Sets
 from arpd.ros.graph import type_name_of
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import on_link
+from arpd.ros.raw_reader import Sample, is_late
 from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
     from arpd.relay.ends.link import LinkThread
     from arpd.relay.ends.offers import WriterOffer
-    from arpd.ros.raw_reader import Sample
 
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
+_LATE_S = 0.1  # the thread that reads waits for the processor: a scheduler takes less
 #: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
 LINK_DEPTH = 400
 
@@ -110,6 +111,8 @@ class LinkTopic(Carried):
 
     def send(self, topic: str, writer: WriterOffer, sample: Sample) -> None:
         """Let a sample wait for its turn; of a group, its set once that is complete."""
+        if is_late(sample, _LATE_S):
+            self._thread.make_way()
         record = Record(writer_key(writer.gid), sample.sequence, sample.data)
         source, records = record.writer, [record]
         if self._sets is not None:

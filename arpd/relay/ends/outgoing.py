@@ -230,6 +230,8 @@ class Outgoing:
                     thread=self.thread,
                     deliver=partial(carried.send, topic),
                     depth=self._settings.depths.get(topic),
+                    # Those of a group wait for each other.
+                    is_kept=topic in self._settings.queued or topic in self._groups,
                 )
             carried.readers[topic].follow(offer.writers)
         except (UnknownTypeError, RuntimeError, ValueError) as fault:

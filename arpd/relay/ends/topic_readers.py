@@ -42,6 +42,7 @@ class TopicReaders:
     topic : names the writers
     deliver : called with every sample and its writer, in the thread, one at a time
     depth : most samples that wait for the thread; None = a second of them
+    is_kept : as of `RawReader`; so are those of latched writers, and of a topic with a depth of its own
     """
 
     def __init__(
@@ -53,10 +54,11 @@ class TopicReaders:
         thread: ReadingThread,
         deliver: Callable[[WriterOffer, Sample], None],
         depth: int | None,
+        is_kept: bool,
     ) -> None:
         self._node, self._topic, self._msg_type = node, topic, msg_type
         self._thread, self._deliver_one = thread, deliver
-        self._depth = depth
+        self._depth, self._is_kept = depth, is_kept
         self._readers: dict[WriterClass, RawReader] = {}
         self._followed: tuple[WriterOffer, ...] = ()
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
@@ -109,6 +111,7 @@ class TopicReaders:
             deliver=deliver,
             thread=self._thread,
             most_held_bytes=None if self._depth else MOST_BYTES,
+            is_kept=self._is_kept or self._depth is not None or is_latched,
         )
 
     def _deliver(self, kind: WriterClass, sample: Sample) -> bool:

@@ -105,3 +105,20 @@ def test_many_small_topics_fill_a_link_that_they_overload():
         link.after(0.0005 * number, partial(link.publish, name, 50.0, 400))
     link.run(2.0)
     assert link.run(5.0).total() / 5.0 > 0.9
+
+
+def test_a_large_message_makes_way_for_a_moment_while_small_ones_wait_for_the_processor():
+    """Its chunks wait, small messages leave meanwhile, and the thread wakes for it by itself."""
+    link = Link()
+    link.lane("image")
+    link.lane("imu")
+    link.offer("image", bytes(100_000))
+    assert link.take()[0] is link.lanes["image"]
+    link.queue.make_way(link.now_s)
+    assert link.take() is None
+    link.offer("imu", b"imu")
+    assert link.take()[0] is link.lanes["imu"]
+    again_s = link.queue.due_s(link.now_s)
+    assert link.now_s + 0.01 < again_s < link.now_s + 0.03
+    link.now_s = again_s
+    assert link.take()[0] is link.lanes["image"]
