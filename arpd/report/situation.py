@@ -80,7 +80,7 @@ def judge(snapshot: Snapshot, *, rows: Sequence[Topic] | None = None, now_s: flo
     slowed = slowed_topics(rows)
     found = lasting(snapshot)
     if not _CUTS & {finding.condition for finding in found}:
-        found += _course(snapshot, len({row.topic for row in rows if row.planned}), slowed)
+        found += _course(snapshot, rows, slowed)
     if now_s is not None and (age_s := now_s - snapshot.finished_at_s) > Condition.STALE.holds_s:
         why = f"the last one finished {format_duration(age_s)} ago; publishers keep the price and the plan they have"
         found.append(Finding(Condition.STALE, why))
@@ -210,9 +210,9 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
         yield Finding(Condition.POSTPONED, why, f"plan {decision.plan.generation}")
 
 
-def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Topic]) -> Iterator[Finding]:
+def _course(snapshot: Snapshot, rows: Sequence[Topic], slowed: Sequence[Topic]) -> Iterator[Finding]:
     """Yield what the link is like, and what arpd does about it: as it changes from tick to tick, it is no event."""
-    if not planned:
+    if not (planned := len({row.topic for row in rows if row.planned})):
         is_found = any(publisher.direction != "local" for publisher in snapshot.observation.publishers)
         if is_found:
             yield Finding(Condition.MEASURING, waiting.first_plan(snapshot))
@@ -223,8 +223,15 @@ def _course(snapshot: Snapshot, planned: int, slowed: Sequence[Topic]) -> Iterat
         yield Finding(Condition.QUEUE, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short")
     if not slowed:
         carries = format_rate(snapshot.link.capacity_bytes_per_second)
+        now = _unmeasured(snapshot) or _queue_and_loss(snapshot)
+        if behind := [row.confirmed for row in rows if row.is_behind]:
+            late = max(behind, key=lambda topic: topic.source_rate_hz - topic.published_rate_hz)
+            rates = f"{format_number(late.published_rate_hz)} of {format_number(late.source_rate_hz)} Hz"
+            why = f"{carries} would be enough, but {late.topic} leaves at {rates}"
+            yield Finding(Condition.LIMITED, f"{why}; {now}")
+            return
         why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
-        yield Finding(Condition.CLEAR, f"{why}; {_unmeasured(snapshot) or _queue_and_loss(snapshot)}")
+        yield Finding(Condition.CLEAR, f"{why}; {now}")
         return
     most = slowed[0]
     rates = f"{format_number(most.confirmed.source_rate_hz)} → {format_number(most.allowed_hz)} Hz"

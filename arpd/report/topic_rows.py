@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _SLOWED_BELOW = 0.95
+_BEHIND_BELOW = 0.7  # rates are of the last five seconds, and of two moments
 _OF_THE_LINK = {Binding.LINK, Binding.MINIMUM}
 
 
@@ -44,6 +45,12 @@ class Topic:
     def is_slowed(self) -> bool:
         """Whether the link keeps it below its source's rate; a rate within a twentieth of that slows nobody."""
         return self.kept_ratio < _SLOWED_BELOW
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether it leaves far more slowly than its source and the last tick let it; not of one that is silent."""
+        most_hz = min(self.confirmed.source_rate_hz, self.allowed_hz)
+        return self.planned is not None and 0.0 < self.confirmed.published_rate_hz < _BEHIND_BELOW * most_hz
 
     @property
     def allowed_hz(self) -> float:

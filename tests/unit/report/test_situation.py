@@ -41,6 +41,16 @@ def test_the_verdict_answers_the_four_questions():
     assert "; no queue and 5 % loss." in lossy.text
 
 
+def test_a_link_is_not_enough_where_a_topic_does_not_leave_as_it_may():
+    """Other robots behind the same access point, or a busy computer, keep what the estimate would allow."""
+    camera = replace(changed().observation.publishers[-1], source_rate_hz=12.0)
+    for published_hz, condition in ((11.5, Condition.CLEAR), (5.0, Condition.LIMITED)):
+        publishers = (*changed().observation.publishers[:-1], replace(camera, published_rate_hz=published_hz))
+        verdict = judge(changed(observation={"publishers": publishers}, **CALM)).verdict
+        assert verdict.condition is condition
+        assert ("would be enough, but /camera/image leaves at 5 of 12 Hz; " in verdict.text) is (published_hz == 5.0)
+
+
 @pytest.mark.parametrize(
     ("change", "condition", "words"),
     [
