@@ -302,10 +302,12 @@ def status_line(snapshot: Snapshot | None) -> str:
         return "starting"
     # Judged whole only while nothing is planned: such a judgement reads every topic.
     found = lasting(snapshot) if snapshot.managed else judge(snapshot).findings
-    first = (Condition.STANDING_BY, Condition.MEASURING, Condition.NOTHING_TO_MANAGE)
+    first = (Condition.STANDING_BY, Condition.OUTAGE, Condition.MEASURING, Condition.NOTHING_TO_MANAGE)
     waits = next((finding.phrase for finding in found if finding.condition in first), "")
     faults = [finding.phrase for finding in found if _is_fault(finding)]
-    return "; ".join(filter(None, [_interface_fault(snapshot), waits or _figures(snapshot), *faults]))
+    # Without a topic all that is asked for is allowed, also while the link is down.
+    fault, figures = _interface_fault(snapshot), _figures(snapshot) if snapshot.managed else ""
+    return "; ".join(filter(None, [fault, waits or figures, *faults]))
 
 
 def _figures(snapshot: Snapshot) -> str:

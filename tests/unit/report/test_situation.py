@@ -176,6 +176,14 @@ def test_the_line_for_systemd_has_the_link_the_plan_and_every_fault():
     assert all(words in faulty for words in ("reload refused: x", "a and b are not in force"))
 
 
+def test_the_line_for_systemd_has_no_figures_while_nothing_can_cross():
+    """An outage says so in its own words; a link that is down without topics does not allow 100 %."""
+    told = status_line(held(changed(link={"state": LinkState.OUTAGE})))
+    assert told.startswith("the link carries nothing: no topic sends more than its minimum rate")
+    told = status_line(held(starting(counters=None)))
+    assert (told.startswith("wlan0 is gone"), "allowed" in told) == (True, False)
+
+
 def test_the_page_calls_a_snapshot_stale_at_the_same_age():
     """The browser cannot import the threshold, so it repeats it."""
     script = (Path(arpd.web.__file__).parent / "assets" / "page.js").read_text()
