@@ -128,17 +128,20 @@ class NodePublishers:
         """
         topic = publisher.topic_name
         with self._lock:
-            if topic in self._publishers:
+            if self._publishers.setdefault(topic, publisher) is not publisher:
                 raise ValueError(f"{self._name} already has an AdaptivePublisher on {topic}; a plan has one row for it")
-            self._publishers = {**self._publishers, topic: publisher}
             self._show_price(publisher)
             self._give_row(publisher)
         self.hurry()
 
     def release(self, publisher: Paced) -> None:
-        """Forget a publisher."""
-        with self._lock:
-            self._publishers = {topic: kept for topic, kept in self._publishers.items() if kept is not publisher}
+        """Forget a publisher; the function of a signal may call it, so no lock is waited for."""
+        if self._publishers.get(publisher.topic_name) is publisher:
+            self._publishers.pop(publisher.topic_name, None)
+
+    @property
+    def _all(self) -> tuple[Paced, ...]:
+        return tuple(self._publishers.values())  # other threads add and remove some
 
     def hurry(self) -> None:
         """Send a snapshot soon, because a swap has ended, for example; for any thread."""
@@ -152,14 +155,14 @@ class NodePublishers:
         self._told_s, self._has_news = now_s, False
         with self._lock:
             if now_s - self._heard_s > _SILENT_S:
-                self._show_price(*self._publishers.values())
+                self._show_price(*self._all)
             self._expire_plan()
         self._tell()
         return self._tell_s
 
     def finish(self) -> None:
         """Write what waits."""
-        for publisher in self._publishers.values():
+        for publisher in self._all:
             with suppress(RuntimeError):  # RCLError is one
                 publisher.finish()
 
@@ -178,7 +181,7 @@ class NodePublishers:
 
     def _tell(self) -> None:
         states = []
-        for publisher in self._publishers.values():
+        for publisher in self._all:
             with suppress(InvalidHandle):  # another thread has just destroyed it
                 states.append(publisher.state())
         told = states[:MOST_PUBLISHERS]  # the daemon names the node of the others
@@ -198,7 +201,7 @@ class NodePublishers:
         with self._lock:
             self._price = price
             self._heard_s = self._clock()
-            self._show_price(*self._publishers.values())
+            self._show_price(*self._all)
 
     def _warn_of_large(self, states: Iterable[PublisherState]) -> None:
         """Say once of each topic that it makes the others of its participant wait."""
@@ -230,12 +233,12 @@ class NodePublishers:
         self._node.get_logger().warning(f"no sign of arpd for {lease_s:g} s: the publishers return to their own QoS")
         self._answer = NO_PLAN  # the next daemon may begin with any generation
         self._rows = {}
-        for publisher in self._publishers.values():
+        for publisher in self._all:
             own = publisher.baseline
             plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=own.deadline_ns, depth=own.depth)
             publisher.retune(plan)
         self._price = None
-        self._show_price(*self._publishers.values())
+        self._show_price(*self._all)
 
     def take_plan(self, plan: PlanMessage) -> None:
         """Take all rows of a plan for this node's publishers, or none of them; the next snapshot has the answer."""
@@ -259,8 +262,8 @@ class NodePublishers:
             raise ValueError(f"generation {plan.generation} is older than {in_force}, the plan in force")
         return [
             (publisher, checked_row(topic, plan.rows[topic], publisher.baseline))
-            for topic, publisher in self._publishers.items()
-            if topic in plan.rows
+            for publisher in self._all
+            if (topic := publisher.topic_name) in plan.rows
         ]
 
     def _give_row(self, publisher: Paced) -> None:

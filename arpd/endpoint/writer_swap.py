@@ -68,6 +68,7 @@ class WriterSwap(Generic[W]):
         lock: AbstractContextManager[Any] = _NO_LOCK,
     ) -> None:
         self._create, self._on_result, self._on_held = create, on_result, on_held
+        self._results: deque[tuple[SwapResult, WriterQos]] = deque()  # not told yet
         self._timing = timing or SwapTiming()
         self._clock, self.lock = clock, lock
         self._qos = qos
@@ -230,6 +231,8 @@ class WriterSwap(Generic[W]):
             finally:
                 if self.current is not before:
                     self._missed += before.deadlines_missed() - self.current.deadlines_missed()
+        while self._results:  # without the lock: who hears of them may wait for a thread that waits for it
+            self._on_result(*self._results.popleft())
 
     def _may_begin(self, qos: WriterQos) -> bool:
         if self._next is None:
@@ -275,7 +278,7 @@ class WriterSwap(Generic[W]):
             deadline_ns=qos.deadline_ns,
             seconds_by_phase=dict(self._seconds),
         )
-        self._on_result(result, qos)
+        self._results.append((result, qos))
 
     def _match(self, now_s: float) -> None:
         assert self._next is not None
@@ -341,7 +344,7 @@ class WriterSwap(Generic[W]):
         elif now_s - self._since_s > self._timing.match_timeout_s:
             refused = self._next_qos
             self._give_up(SwapResult.UNMATCHED, now_s)
-            self._on_result(SwapResult.UNDELIVERED, refused)
+            self._results.append((SwapResult.UNDELIVERED, refused))
 
     def _take_over(self, now_s: float) -> None:
         assert self._next is not None
@@ -360,7 +363,7 @@ class WriterSwap(Generic[W]):
                 self._draining.remove(old)  # first: if something below raises, it must not be destroyed twice
                 old.writer.destroy()
                 if not is_served:
-                    self._on_result(SwapResult.UNDELIVERED, old.qos)
+                    self._results.append((SwapResult.UNDELIVERED, old.qos))
 
     @property
     def _is_link_clean(self) -> bool:

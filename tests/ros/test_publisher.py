@@ -272,6 +272,23 @@ def test_who_ends_waits_shortly_for_the_readers_of_the_last_sample(node, publish
     assert 0.2 < time.monotonic() - begun_s < 20 * 0.2
 
 
+def test_the_function_of_a_signal_that_destroys_a_publisher_waits_for_no_other_thread(publisher, background):
+    """Who gives it a price waits for the change of the queue that the signal has interrupted."""
+    holds, may_end, has_ended = threading.Event(), threading.Event(), threading.Event()
+
+    def hold(_stopping):
+        with publisher._shared._lock:
+            holds.set()
+            may_end.wait(PATIENCE_S)
+        has_ended.set()
+
+    background(hold)
+    assert holds.wait(PATIENCE_S)
+    publisher.destroy()
+    assert not has_ended.is_set()
+    may_end.set()
+
+
 def test_a_destroyed_node_leaves_nothing_and_the_others(ros, publisher, background, eventually):
     """It has left the graph and the queue when `destroy_node` returns; the daemon hears that at once, and others go on.
 

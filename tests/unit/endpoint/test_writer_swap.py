@@ -1,5 +1,7 @@
 """Course of single writer swaps; test_writer_swap_machine.py has the invariants over any sequence of events."""
 
+import threading
+
 import pytest
 
 from arpd.model.endpoints import SwapResult, SwapState, SwapTiming
@@ -48,6 +50,20 @@ def test_on_a_clean_link_a_swap_settles_soon(loss_ratio, is_reliable, settle_s):
     assert (swap.state, swap.qos) == (SwapState.MATCHING, FIRST)
     run(swap, settle_s, 0.05, publishing=True)
     assert world.results == [SwapResult.OK]
+
+
+@pytest.mark.parametrize("is_matching", [True, False])
+def test_who_hears_of_a_result_holds_up_nobody(is_matching):
+    """It may wait for a thread that a signal has interrupted, and whose function destroys the writers."""
+    world, swap = make()
+    swap.lock, locked = threading.Lock(), []
+    swap._on_result = lambda _result, _qos: locked.append(swap.lock.locked())
+    swap.request(qos(2))
+    swap.step(0.0)
+    world.writers[1].readers = int(is_matching)
+    world.writers[0].readers = 1
+    run(swap, 0.0, TIMING.match_timeout_s + 0.1)
+    assert locked == [False]
 
 
 def settled(world, swap, wanted=None):
