@@ -36,12 +36,13 @@ def test_systemd_finds_nothing_to_complain_about(tmp_path):
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_a_unit_has_what_its_start_its_restart_and_dds_need(unit):
-    """Notify from its main process, a restart at any time but after exit 78 or 2, and no sandbox that parts DDS."""
+    """Notify from its main process, a restart but after exit 78 or 2, a turn before others, no sandbox against DDS."""
     has = settings(unit)
     assert (has["Type"], has["NotifyAccess"]) == ("notify", "main")
     assert has["ExecStart"].startswith(f"{INSTALLED}/arpd-launch ")
     assert (has["RestartPreventExitStatus"], has["StartLimitIntervalSec"]) == ("78 2", "0")
     assert set(has["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
+    assert has["Nice"] == "-5"  # a node with busy threads must not make samples old
     assert has["RemoveIPC"] == "no"  # else the shared memory of other nodes would go, too
     assert not {"PrivateIPC", "PrivateNetwork", "DynamicUser", "ProcSubset"} & set(has)
     # It starts without disk space and without NTP.
