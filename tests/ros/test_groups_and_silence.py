@@ -8,10 +8,11 @@ from std_msgs.msg import String, UInt8MultiArray
 
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import TopicPlan
+from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.ros.names import PUBLISHERS_TOPIC
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import BEST_EFFORT, Counter, listen
-from tests.ros.world import Plans
+from tests.ros.world import Announced, Plans
 
 
 def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually):
@@ -41,6 +42,8 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     background(shoot)
     eventually("sets arrive", lambda: len(stamps[topics[0]]) > 50)
     relay = ends.side("link").node("planner")
+    told = Announced(relay)
+    eventually("it tells its depth", lambda: [each.depth for each in told.states] == [DEFAULT_RELAY_DEPTH])
     row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
     Plans(relay)(1, {"/stereo": row})
     first = stamps[topics[0]]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import QoSProfile
@@ -13,7 +13,6 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.endpoint.lane import Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
-from arpd.model.plan import TopicPlan
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
 from arpd.relay.ends.outgoing import Carried
 from arpd.relay.envelope import Record, pack, writer_key
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
+    from arpd.model.plan import TopicPlan
     from arpd.model.price import Price
     from arpd.relay.ends.link import LinkThread
     from arpd.relay.ends.offers import WriterOffer
@@ -81,7 +81,7 @@ class LinkTopic(Carried):
             lane = {"depth": asked or _HISTORY, "large_depth": asked or 1, "is_kept": True}
         self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
-        self.plan = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=depth)
+        self._lane.plan = replace(self._lane.plan, depth=depth)
         thread.add(self._lane)
         self._shared = NodePublishers.of(node)
         self._shared.adopt(self)
@@ -129,10 +129,14 @@ class LinkTopic(Carried):
 
     # -- what `NodePublishers` calls
 
+    @property
+    def plan(self) -> TopicPlan:
+        """Settings in force."""
+        return self._lane.plan
+
     def retune(self, plan: TopicPlan) -> None:
         """Take a plan, which is in force at once."""
         if plan != self.plan:
-            self.plan = plan
             self.planned = plan.qos if plan.weight > 0 else (0, 0)
             self._thread.retune(self._lane, plan, self._lane.price)
 
