@@ -222,10 +222,9 @@ class Estimator:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
         seen = ""
         for rate, is_bound in self._trains.take(packet_overhead_s=self._overhead_s):
-            if is_bound and rate <= self._stated.capacity:
-                continue  # that the link carries less than is believed is no news
-            self._stated.belief.wait(now_s)
-            (self._stated.belief.carried if is_bound else self._stated.belief.train)(rate)
+            if not is_bound or rate > self._stated.capacity:  # that it carries less than is believed is no news
+                self._stated.belief.wait(now_s)
+                (self._stated.belief.carried if is_bound else self._stated.belief.train)(rate)
             seen = f"trains see {format_rate(rate)}{' or more' * is_bound}"
         shown = self._weigh_delivery(now_s, pinged, has_reports=has_reports)
         # Beside a queue that stands no train leaves, and what is delivered is the capacity.
