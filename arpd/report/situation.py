@@ -224,9 +224,9 @@ def _course(snapshot: Snapshot, rows: Sequence[Topic], slowed: Sequence[Topic]) 
     if not slowed:
         carries = format_rate(snapshot.link.capacity_bytes_per_second)
         now = _unmeasured(snapshot) or _queue_and_loss(snapshot)
-        if behind := [row.confirmed for row in rows if row.is_behind]:
-            late = max(behind, key=lambda topic: topic.source_rate_hz - topic.published_rate_hz)
-            rates = f"{format_number(late.published_rate_hz)} of {format_number(late.source_rate_hz)} Hz"
+        if behind := [row for row in rows if row.is_behind]:
+            late = max(behind, key=lambda row: row.most_hz - row.confirmed.published_rate_hz)
+            rates = f"{format_number(late.confirmed.published_rate_hz)} of {format_number(late.most_hz)} Hz"
             why = f"{carries} would be enough, but {late.topic} leaves at {rates}"
             yield Finding(Condition.LIMITED, f"{why}; {now}")
             return

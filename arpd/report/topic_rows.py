@@ -49,8 +49,12 @@ class Topic:
     @property
     def is_behind(self) -> bool:
         """Whether it leaves far more slowly than its source and the last tick let it; not of one that is silent."""
-        most_hz = min(self.confirmed.source_rate_hz, self.allowed_hz)
-        return self.planned is not None and 0.0 < self.confirmed.published_rate_hz < _BEHIND_BELOW * most_hz
+        return self.planned is not None and 0.0 < self.confirmed.published_rate_hz < _BEHIND_BELOW * self.most_hz
+
+    @property
+    def most_hz(self) -> float:
+        """Rate that its source and the last tick let go (Hz)."""
+        return min(self.confirmed.source_rate_hz, self.allowed_hz)
 
     @property
     def allowed_hz(self) -> float:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import pytest
 
 import arpd.web
-from arpd.model.allocation import AllocationStatus
+from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.link import CapacityKind, LinkState
 from arpd.model.plan import QosPlan
 from arpd.model.relay import RelaySummary, RelayTopics
@@ -49,6 +49,18 @@ def test_a_link_is_not_enough_where_a_topic_does_not_leave_as_it_may():
         verdict = judge(changed(observation={"publishers": publishers}, **CALM)).verdict
         assert verdict.condition is condition
         assert ("would be enough, but /camera/image leaves at 5 of 12 Hz; " in verdict.text) is (published_hz == 5.0)
+
+
+def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
+    """Of 30 Hz, 12.5 are all that max_rate_hz lets go."""
+    publishers = (
+        *changed().observation.publishers[:-1],
+        replace(changed().observation.publishers[-1], published_rate_hz=5.0),
+    )
+    image, *others = changed().allocation.topics
+    allocation = {"topics": (replace(image, binding=Binding.DESIRED_RATE), *others)}
+    verdict = judge(changed(observation={"publishers": publishers}, allocation=allocation, **CALM)).verdict
+    assert "would be enough, but /camera/image leaves at 5 of 12.5 Hz; " in verdict.text
 
 
 @pytest.mark.parametrize(
