@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
-from arpd.endpoint.queue import PacedQueue
+from arpd.endpoint.queue import LEAST_SHARE, PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
@@ -122,3 +122,18 @@ def test_a_large_message_makes_way_for_a_moment_while_small_ones_wait_for_the_pr
     assert link.now_s + 0.01 < again_s < link.now_s + 0.03
     link.now_s = again_s
     assert link.take()[0] is link.lanes["image"]
+
+
+def test_large_messages_keep_the_least_share_where_the_processor_is_always_lacking():
+    """A robot's camera, and a large answer, would never cross otherwise."""
+    link = Link()
+    link.lane("image")
+
+    def lack():
+        link.queue.make_way(link.now_s)
+        link.after(0.005, lack)
+
+    lack()
+    link.publish("image", 10.0)
+    assert LEAST_SHARE / 2 < link.run(10.0)["image"] / 10.0 < 2 * LEAST_SHARE
+    assert link.arrived["image"]
