@@ -366,6 +366,7 @@ class RawReader:
         depth = bounded_depth(self._qos.depth, sample.data, self._most_held_bytes)
         if not self._is_kept and len(sample.data) > _MOST_BYTES_AT_ONCE and is_late(sample, LATE_S):
             depth = min(depth, _LEAST_DEPTH)
+            self._thread.say_late(self.name)
         if depth == self._qos.depth:
             return True
         self._qos.depth = depth

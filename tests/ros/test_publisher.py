@@ -259,17 +259,21 @@ def test_the_last_sample_leaves_at_the_end(ros, eventually, end):
 
 def test_who_ends_waits_shortly_for_the_readers_of_the_last_sample(node, publisher, monkeypatch):
     """Nobody would repeat the robot's command to stop; readers that are gone hold up all topics of a node together."""
-    answers = [True, False, False]
+    answers, thread = [True, False, False], publisher._thread
     monkeypatch.setattr(publisher._flow.swap.current, "is_acknowledged", answers.pop)
-    publisher.destroy()
+    with monkeypatch.context() as patient:
+        patient.setattr(thread, "heard_by_s", lambda: math.inf)
+        publisher.destroy()
     assert not answers
-    monkeypatch.setattr(publisher._thread, "_ending_s", -math.inf)
+    until_s, heard_by_s = set(), thread.heard_by_s
+    monkeypatch.setattr(thread, "heard_by_s", lambda: (at_s := heard_by_s(), until_s.add(at_s))[0])
     others = [AdaptivePublisher(node, String, f"/other_{number}", 10) for number in range(20)]
     for each in others:
         monkeypatch.setattr(each._flow.swap.current, "is_acknowledged", lambda: False)
     begun_s = time.monotonic()
     node.destroy_node()
-    assert 0.2 < time.monotonic() - begun_s < 20 * 0.2
+    assert time.monotonic() - begun_s > 0.2
+    assert len(until_s) < len(others) / 2  # one, unless this computer needs seconds for them
 
 
 def test_the_function_of_a_signal_that_destroys_a_publisher_waits_for_no_other_thread(publisher, background):

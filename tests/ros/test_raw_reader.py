@@ -4,6 +4,7 @@ import os
 import select
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from rclpy.qos import QoSProfile
@@ -124,9 +125,15 @@ def test_a_reader_that_gives_one_sample_again_and_again_is_read_anew(connect, th
     assert len({sample.sequence for sample in taken}) == len(taken)
 
 
+def waiting(reader):
+    """Return how many samples were announced to a reader that the thread has not looked at yet."""
+    fields = dict(line.split(":") for line in Path(f"/proc/self/fdinfo/{reader._event}").read_text().splitlines())
+    return int(fields["eventfd-count"], 16) - raw_reader._ALL
+
+
 @pytest.fixture
 def busy(connect, eventually, monkeypatch):
-    """Keep the thread busy, beyond what is late; return what ends that."""
+    """Keep the thread busy, beyond what is late; return what ends that, once so many samples of these readers wait."""
     monkeypatch.setattr(raw_reader, "LATE_S", 0.1)
     is_busy, gate = threading.Event(), threading.Event()
 
@@ -136,7 +143,14 @@ def busy(connect, eventually, monkeypatch):
 
     connect(deliver, "/busy")[1].publish(String(data="x"))
     eventually("the thread is busy", is_busy.is_set)
-    yield gate.set
+
+    def end(expected):
+        for reader, number in expected.items():
+            eventually("its samples have come", lambda reader=reader, number=number: waiting(reader) == number)
+        time.sleep(0.15)
+        gate.set()
+
+    yield end
     gate.set()
 
 
@@ -152,24 +166,25 @@ def test_of_what_waited_for_a_busy_computer_the_newest_of_each_writer_is_deliver
     other.publish(String(data="other"))
     for number in range(20):
         publisher.publish(String(data=str(number)))
-    time.sleep(0.3)
-    busy()
+    busy({reader: 21})
     eventually("late samples are delivered", lambda: len(taken) == 1 + expected)
     publisher.publish(String(data="later"))
     eventually("a later one is, too", lambda: len(taken) == 2 + expected)
     assert [sample.data[8:-1] for sample in taken[-2:]] == [b"19", b"later"]
 
 
-def test_small_samples_wait_for_one_large_one_of_a_topic_and_late_large_ones_for_nobody(connect, busy, eventually):
-    """A reader whose large samples came late has a smaller depth from then on."""
+def test_small_samples_wait_for_one_large_one_of_a_topic_and_late_large_ones_for_nobody(
+    connect, busy, eventually, caplog
+):
+    """A reader whose large samples came late has a smaller depth from then on, and the log says why."""
     taken = []
     reader, large = connect(taken.append, "/large", is_kept=False, most_held_bytes=10**9)
-    _, small = connect(taken.append, "/small")
+    other, small = connect(taken.append, "/small")
     for _ in range(10):
         large.publish(String(data="x" * 200_000))
     small.publish(String(data="small"))
-    time.sleep(0.3)
-    busy()
+    busy({reader: 10, other: 1})
     eventually("the small sample is taken", lambda: any(len(sample.data) < 100 for sample in taken))
     assert len(taken) <= 2
     eventually("the reader begins again", lambda: reader._qos.depth == 2)
+    assert "too busy for /large" in caplog.text
