@@ -40,7 +40,7 @@ class LinkQueue(PacedQueue):
     topics' rates take at the price, and what no topic of any process takes; what is left serves small topics beyond
     their rate, too. Without a daemon only what is on its way bounds it.
 
-    Small messages of several topics leave together in one packet: of a sample of 300 bytes its own packet, heartbeat
+    Small messages of several topics leave together: of a sample of 300 bytes its own packet, heartbeat
     and acknowledgement would be the larger part. Those that come within the time of two packets, 2 to 5 ms, wait for
     each other; a message that comes after a pause waits for none.
 
@@ -245,7 +245,7 @@ class LinkQueue(PacedQueue):
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
-        room, misses, is_full = _TOGETHER_BYTES, 0, False
+        room, misses, is_full = self._room, 0, False
         for each, is_due in boarding.items():
             messages = self._board(each, room, now_s)
             aboard += [(each, message) for message in messages]
@@ -335,8 +335,11 @@ class LinkQueue(PacedQueue):
     def _adapt(self, price: Price | None) -> None:
         """Let a chunk take its time of the link; None = no daemon is heard."""
         capacity = math.inf if price is None else price.capacity_bytes_per_second
-        self.flight.believe(capacity, is_lossy=price is not None and (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO)
+        is_lossy = price is not None and (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO
+        self.flight.believe(capacity, is_lossy=is_lossy)
         packets = _UNKNOWN_PACKETS if price is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         packets = min(max(packets, _LEAST_PACKETS), _MOST_PACKETS)
         self._chunk_bytes = packets * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+        # For messages that leave together: a lost packet holds them all up.
+        self._room = _TOGETHER_BYTES if is_lossy else self._chunk_bytes
         self._company_s = min(_COMPANY_S, max(_LEAST_COMPANY_S, _COMPANY_PACKETS * FRAGMENT_BYTES / capacity))

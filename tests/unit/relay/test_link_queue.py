@@ -292,8 +292,11 @@ def loads(link):
     return ["".join(dict.fromkeys(part.decode())) for part in together], len(ready) - len(together)
 
 
-def test_small_messages_that_come_together_leave_in_one_packet():
-    """The first leaves at once; those that come while it takes the link leave together, or alone without company."""
+def test_small_messages_that_come_together_leave_together():
+    """The first leaves at once; those that come while it takes the link leave together, or alone without company.
+
+    Where the link loses packets each one leaves by itself, because a lost one holds up all that is in its message.
+    """
     link = Link()
     for name in "abcd":
         link.lane(name, ROW, price_of(1.0), has_company=name != "d")
@@ -304,11 +307,13 @@ def test_small_messages_that_come_together_leave_in_one_packet():
     assert loads(link) == ([], 1)
     link.now_s = link.queue.due_s(link.now_s)
     assert loads(link) == (["bc"], 0)
-    link.now_s += 1.0
-    link.confirm_all()
-    for name in "abc":
-        link.offer(name, name.encode() * 500)
-    assert loads(link) == (["ab", "c"], 0), "what finds no room leaves in the next packet, at once"
+    for loss_ratio, packets in ((0.01, ["ab", "c"]), (0.0, ["abc"])):
+        link.now_s += 1.0
+        link.confirm_all()
+        for name in "abc":
+            link.queue.retune(link.lanes[name], ROW, replace(price_of(1.0), loss_ratio=loss_ratio))
+            link.offer(name, name.encode() * 500)
+        assert loads(link) == (packets, 0), "what finds no room leaves in the next packet, at once"
 
 
 def test_a_topic_quicker_than_packets_leave_does_not_wait():
@@ -337,17 +342,6 @@ def test_the_thread_wakes_by_itself_for_what_quick_topics_will_bring():
     due_s = link.queue.due_s(link.now_s)
     assert link.now_s < due_s < link.now_s + 0.01
     assert math.isinf(link.queue.due_s(due_s))
-
-
-def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
-    """Its small messages would overtake the large one on another writer."""
-    link = Link()
-    scan = link.lane("scan", has_company=True)
-    for size in (100, 5000, 100):
-        link.offer("scan", bytes(size))
-        assert (loads(link) == ([], 1)) == (not scan.has_company)
-        link.now_s += 0.1
-    assert not scan.has_company
 
 
 def test_another_robots_end_in_the_link_domain_spoils_no_account():

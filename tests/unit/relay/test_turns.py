@@ -14,7 +14,7 @@ from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
 from tests.examples import examples
-from tests.unit.relay.test_link_queue import CAPACITY, ROW, Link, price_of
+from tests.unit.relay.test_link_queue import CAPACITY, ROW, Link, loads, price_of
 
 JUST_S = 1e-6
 ROWS = [
@@ -122,6 +122,17 @@ def test_a_large_message_makes_way_for_a_moment_while_small_ones_wait_for_the_pr
     assert link.now_s + 0.01 < again_s < link.now_s + 0.03
     link.now_s = again_s
     assert link.take()[0] is link.lanes["image"]
+
+
+def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on():
+    """Its small messages would overtake the large one on another writer."""
+    link = Link()
+    scan = link.lane("scan", has_company=True)
+    for size in (100, 5000, 100):
+        link.offer("scan", bytes(size))
+        assert (loads(link) == ([], 1)) == (not scan.has_company)
+        link.now_s += 0.1
+    assert not scan.has_company
 
 
 def test_large_messages_keep_the_least_share_where_the_processor_is_always_lacking():
