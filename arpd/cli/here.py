@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from arpd.cli.client import Daemon
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
+from arpd.host.addresses import own_address
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.config.yaml_source import YamlSource
 from arpd.host.discovery import HeardDiscovery, listen
@@ -81,10 +82,11 @@ class Here:
             self.faults[path] = self._faults_of(path) if is_missed or os.access(path, os.R_OK) else None
 
     def _faults_of(self, path: Path) -> list[str]:
-        """Return the faults of a file, and keep the settings of one without; raise where its name is a typo."""
+        """Return the faults of a file, and keep the settings of one that has values; raise where its name is a typo."""
         interfaces = None if self.is_far else list_interfaces
         try:
             self.settings = load_settings(path, interfaces=interfaces, local_domain=local_domain())
+            own_address(path, self.settings.relay.link(is_far=self.is_far), is_far=self.is_far)
         except ConfigError as error:
             if path is self._options.config and not path.exists():
                 raise

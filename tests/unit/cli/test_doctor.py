@@ -9,6 +9,7 @@ import pytest
 
 from arpd import __version__
 from arpd.cli import checks, here, options
+from arpd.host import addresses
 from arpd.host.discovery import HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
@@ -127,6 +128,16 @@ def test_the_units_in_use_tell_the_end(doctor, computer, units, end):
     _, out, _ = doctor("--json", text="link: {interface: of_the_robot0}\n")
     assert json.loads(out)["end"] == end
     assert healths(out)["configuration"] == ("fine" if end == "base" else "wrong")
+
+
+def test_the_other_ends_address_is_not_this_computers(run, config, monkeypatch):
+    """With it arpd ends at once, and `arpd check` says so, too."""
+    monkeypatch.setattr(addresses, "ends_of_route", lambda name: ("10.0.0.1", name))
+    path = config("relay: {link_domain: 77, base: 10.0.0.1}")
+    out = run("doctor", "--json", "--config", path)[1]
+    assert healths(out)["configuration"] == "wrong"
+    assert "relay.base: 10.0.0.1 is an address of this computer" in out
+    assert healths(run("doctor", "--json", "--far", "--config", path)[1])["configuration"] == "fine"
 
 
 def test_the_file_of_each_robot_is_judged(run, computer, tmp_path):
