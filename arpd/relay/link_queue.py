@@ -76,7 +76,7 @@ class LinkQueue(PacedQueue):
         self._turns = Turns(super()._finish)
         self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
-        self._way_s = self._chunk_s = -math.inf  # until when large messages make way, and when a part of one left
+        self._way_s = -math.inf  # until when large messages make way
         self._was_out = False
         self._received = Received()
         self._received_bytes = 0.0  # on the link
@@ -164,10 +164,7 @@ class LinkQueue(PacedQueue):
     # -- what waits
 
     def make_way(self, now_s: float) -> None:
-        """Let large messages wait a moment, because small ones wait for the processor that their chunks take.
-
-        They keep the least share of the link, so where the processor is always lacking, none of them waits for ever.
-        """
+        """Let large messages wait a moment, because small ones wait for the processor that their chunks take."""
         self._way_s = now_s + _WAY_S
 
     def remove(self, lane: Lane) -> None:
@@ -299,8 +296,6 @@ class LinkQueue(PacedQueue):
         wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(lane, now_s)
         number = self.flight.send(int(wire_bytes), now_s)
-        if not is_first:
-            self._chunk_s = now_s
         if offset == 0:
             current.number = number
         current.offset += len(part)
@@ -314,7 +309,7 @@ class LinkQueue(PacedQueue):
     # -- the daemon's price
 
     def _free_s(self, now_s: float) -> float:
-        return max(super()._free_s(now_s), min(self._way_s, self._chunk_s + _CHUNK_S / LEAST_SHARE))
+        return max(super()._free_s(now_s), self._way_s)
 
     @property
     def _drain_rate(self) -> float:

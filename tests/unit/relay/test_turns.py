@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane
-from arpd.endpoint.queue import LEAST_SHARE, PacedQueue
+from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
@@ -133,18 +133,3 @@ def test_a_topic_with_a_message_larger_than_a_packet_leaves_alone_from_then_on()
         assert (loads(link) == ([], 1)) == (not scan.has_company)
         link.now_s += 0.1
     assert not scan.has_company
-
-
-def test_large_messages_keep_the_least_share_where_the_processor_is_always_lacking():
-    """A robot's camera, and a large answer, would never cross otherwise."""
-    link = Link()
-    link.lane("image")
-
-    def lack():
-        link.queue.make_way(link.now_s)
-        link.after(0.005, lack)
-
-    lack()
-    link.publish("image", 10.0)
-    assert LEAST_SHARE / 2 < link.run(10.0)["image"] / 10.0 < 2 * LEAST_SHARE
-    assert link.arrived["image"]
