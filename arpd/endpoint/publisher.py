@@ -205,8 +205,7 @@ class AdaptivePublisher:
                 writer.publish_late(sample)
         finally:
             self._thread.release(self._flow.lane)
-        until_s = self._thread.heard_by_s()
-        while not writer.is_acknowledged() and time.monotonic() < until_s:
+        while not writer.is_acknowledged() and time.monotonic() < self._thread.heard_by_s():
             time.sleep(_POLL_S)  # nobody repeats what a writer that is gone has written
 
     def destroy(self) -> None:

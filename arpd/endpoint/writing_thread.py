@@ -82,7 +82,7 @@ class WritingThread:
         self._has_ended = False  # and written what waited: nobody paces what comes still
         self._next_s = 0.0  # when the thread wakes
         self._shunned_until_s = -math.inf  # until then only this thread writes, apart from `publish`
-        self._ending_s = -math.inf  # when the first of those began to end that end now
+        self._ending_s = -math.inf  # when the first of those that end now began to wait
         self.finished_s = clock()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
