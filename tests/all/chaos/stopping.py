@@ -38,7 +38,7 @@ class Stops:
         self._looking = threading.local()
 
     def install(self):
-        move, release, is_acknowledged = WriterSwap._move, WriterSwap._release, RosWriter.is_acknowledged
+        move, release, make = WriterSwap._move, WriterSwap._release, RosWriter.__init__
 
         def release_late(swap, now_s):
             before = swap._since_s
@@ -46,9 +46,14 @@ class Stops:
             if swap.state is SwapState.PROVING and swap._trial and swap._since_s != before:
                 swap._since_s -= self._lag_s[swap]
 
+        def make_hidden(writer, *given, **options):
+            make(writer, *given, **options)
+            is_acknowledged = writer.is_acknowledged
+            writer.is_acknowledged = lambda: not self._is_hidden(writer) and is_acknowledged()
+
         WriterSwap._move = lambda swap, now_s: self._on_move(swap, now_s, partial(move, swap))
         WriterSwap._release = release_late
-        RosWriter.is_acknowledged = lambda writer: not self._is_hidden(writer) and is_acknowledged(writer)
+        RosWriter.__init__ = make_hidden
 
     def release(self):
         with self._lock:
