@@ -40,9 +40,9 @@ class LinkQueue(PacedQueue):
     topics' rates take at the price, and what no topic of any process takes; what is left serves small topics beyond
     their rate, too. Without a daemon only what is on its way bounds it.
 
-    Small messages of several topics leave together: of a sample of 300 bytes its own packet, heartbeat
-    and acknowledgement would be the larger part. Those that come within the time of two packets, 2 to 5 ms, wait for
-    each other; a message that comes after a pause waits for none.
+    Small messages of several topics leave together: of a sample of 300 bytes its own packet, heartbeat and
+    acknowledgement would be the larger part. Those that come within the time of two packets, 2 to 5 ms, wait for each
+    other; a message that comes after a pause waits for none.
 
     Signs of life go past the queue. They carry the receipts of both ends.
 

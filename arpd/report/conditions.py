@@ -106,7 +106,9 @@ class Condition(StrEnum):
     @property
     def phrase(self) -> str:
         """The headline inside a sentence."""
-        return self.headline if self is Condition.POSTPONED else self.headline[0].lower() + self.headline[1:]
+        rest = self.headline.split(" ")[0][1:]
+        is_name = rest != rest.lower()  # QoS, for example
+        return self.headline if is_name else self.headline[0].lower() + self.headline[1:]
 
 
 @dataclass(frozen=True, slots=True)

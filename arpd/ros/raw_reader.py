@@ -343,7 +343,6 @@ class RawReader:
                 self._repeats = 0
                 self._begin_again()
                 return 0
-            thread.note_finished()
             if size > _MOST_BYTES_AT_ONCE:
                 break
         return announced if self._deliver_all(late) else 0

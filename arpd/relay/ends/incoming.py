@@ -19,6 +19,7 @@ from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.types import MOST_BYTES, UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 from arpd.ros.names import on_link
+from arpd.ros.raw_reader import LATE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -32,7 +33,6 @@ _LINGER_S = 5.0  # a topic that nobody reads any more crosses that long: a reade
 _GRACE_S = 5.0
 _MOST_HELD = 5000
 _HELD_S = 3.0
-_OLD_S = 0.5  # on its way beyond the usual: an outage lay between
 _NEWER_S = 0.3  # what an outage delayed comes within that; the newest of each source is delivered
 _HASH = 15  # characters that tell two hashes apart
 _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
@@ -142,7 +142,7 @@ class Incoming:
 
     def deliver(self, message: bytes, chunk: Chunk, age_s: float) -> None:
         """Write the samples of a message; ValueError = it has none."""
-        now_s, is_late = time.monotonic(), age_s > _OLD_S and not chunk.is_kept
+        now_s, is_late = time.monotonic(), age_s > LATE_S and not chunk.is_kept
         with self._lock:
             for record in unpack(message):
                 self._take(record, age_s, is_late, now_s, now_s)
