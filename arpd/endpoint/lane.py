@@ -60,8 +60,9 @@ class _Bucket:
         return self._credit
 
     def spend(self, samples: float) -> None:
-        """Take credit, of which some may be lacking."""
-        self._credit = max(-_LEAST_BURST, self._credit - samples)
+        """Take credit, of which some may be lacking; without a rate none is needed."""
+        if self.rate_hz < math.inf:
+            self._credit = max(-_LEAST_BURST, self._credit - samples)
 
 
 class _Waiting(NamedTuple):

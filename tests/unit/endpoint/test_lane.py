@@ -158,6 +158,14 @@ def test_a_latched_topic_that_comes_above_its_configured_rate_stays_new():
     assert max(left_s - number / 3.0 for left_s, _, number in departures) <= 0.5
 
 
+def test_a_first_rate_delays_no_sample_of_a_topic_that_left_without_one():
+    """What has left before a first plan costs no credit: one of two samples a second would wait 0.4 s."""
+    lane = make()
+    play(lane, [(number / 2, "a", number) for number in range(6)])
+    lane.retune(TopicPlan(rate_hz=2.5, min_rate_hz=0.0, deadline_ns=0, depth=1), None)
+    assert play(lane, [(3.0, "a", 6)]) == [(3.0, "a", 6)]
+
+
 def test_what_has_expired_does_not_leave():
     """A sample older than its LIFESPAN is withheld, and the next one leaves in its place."""
     lane = make(depth=3, is_ordered=True)
