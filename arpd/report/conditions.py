@@ -63,6 +63,7 @@ class Condition(StrEnum):
     )
     QUEUE = "queue", _LINK, _WARNING, False, 0.0, "A queue is building up", ""
     LIMITED = "limited", _PLAN, _WARNING, False, 0.0, "The link is the limit", ""
+    BEHIND = "behind", _PLAN, _WARNING, False, 0.0, "A topic falls behind", ""
     CLEAR = "clear", "", _INFO, False, 0.0, "The link is enough", ""
     # ticks are 0.1 s apart
     STALE = "stale", "", _ERROR, True, 3.0, "No tick finishes", ""

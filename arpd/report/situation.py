@@ -227,8 +227,7 @@ def _course(snapshot: Snapshot, rows: Sequence[Topic], slowed: Sequence[Topic]) 
         if behind := [row for row in rows if row.is_behind]:
             late = max(behind, key=lambda row: row.most_hz - row.confirmed.published_rate_hz)
             rates = f"{format_number(late.confirmed.published_rate_hz)} of {format_number(late.most_hz)} Hz"
-            why = f"{carries} would be enough, but {late.topic} leaves at {rates}"
-            yield Finding(Condition.LIMITED, f"{why}; {now}")
+            yield Finding(Condition.BEHIND, f"{late.topic} leaves at {rates}, though {carries} would be enough; {now}")
             return
         why = f"{carries} is more than the robot offers; arpd slows none of {count(planned, 'topic')}"
         yield Finding(Condition.CLEAR, f"{why}; {now}")

@@ -44,11 +44,11 @@ def test_the_verdict_answers_the_four_questions():
 def test_a_link_is_not_enough_where_a_topic_does_not_leave_as_it_may():
     """Other robots behind the same access point, or a busy computer, keep what the estimate would allow."""
     camera = replace(changed().observation.publishers[-1], source_rate_hz=12.0)
-    for published_hz, condition in ((11.5, Condition.CLEAR), (5.0, Condition.LIMITED)):
+    for published_hz, condition in ((11.5, Condition.CLEAR), (5.0, Condition.BEHIND)):
         publishers = (*changed().observation.publishers[:-1], replace(camera, published_rate_hz=published_hz))
         verdict = judge(changed(observation={"publishers": publishers}, **CALM)).verdict
         assert verdict.condition is condition
-        assert ("would be enough, but /camera/image leaves at 5 of 12 Hz; " in verdict.text) is (published_hz == 5.0)
+        assert ("leaves at 5 of 12 Hz, though 4 Mbit/s would be enough; " in verdict.text) is (published_hz == 5.0)
 
 
 def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
@@ -60,7 +60,7 @@ def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
     image, *others = changed().allocation.topics
     allocation = {"topics": (replace(image, binding=Binding.DESIRED_RATE), *others)}
     verdict = judge(changed(observation={"publishers": publishers}, allocation=allocation, **CALM)).verdict
-    assert "would be enough, but /camera/image leaves at 5 of 12.5 Hz; " in verdict.text
+    assert "/camera/image leaves at 5 of 12.5 Hz, though 4 Mbit/s would be enough; " in verdict.text
 
 
 @pytest.mark.parametrize(
