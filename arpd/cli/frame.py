@@ -150,7 +150,6 @@ def _facts(status: Status, width: int) -> list[Text]:
         ("relay", _relay(status.relay) if status.relay else ""),
         ("lease", _LEASE.format(status.lease_s) if status.lease_s else ""),
         ("rmw", status.rmw_refusal),
-        *(("daemons", f"in charge; another one stands by on {host}") for host in status.other_daemons),
     ]
     return [
         _labelled(line)

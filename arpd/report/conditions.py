@@ -89,8 +89,9 @@ class Condition(StrEnum):
     RESTART_NEEDED = (
         "restart_needed", _CONFIGURATION, _WARNING, False, 0.0, "Restart needed", "31dc202be3df438b8248cdd213c9f5e2",
     )
+    # a daemon that was killed stays in the graph for 20 s, and one that starts hears the price of the other within two
     SPARE_DAEMON = (
-        "spare_daemon", _PLAN, _WARNING, False, 0.0, "Another daemon stands by", "1de773e7854d4b7c9395e883a4998466",
+        "spare_daemon", _PLAN, _WARNING, False, 30.0, "Another daemon stands by", "1de773e7854d4b7c9395e883a4998466",
     )
     WITHOUT_PEER = "without_peer", _LINK, _INFO, False, 5.0, "No peer reports", "c716434f875146e79ba858ed4b525e28"
     POSTPONED = "postponed", "", _INFO, False, 2.0, "QoS changes postponed", "c74bec9dcc544a79999250a0f02fcd4a"

@@ -53,6 +53,12 @@ def test_before_a_plan_there_is_none_and_a_state_has_the_words_of_the_page():
     assert words in next(line for line in lines if line.startswith("link "))
 
 
+def test_a_daemon_that_stands_by_is_not_called_the_one_in_charge():
+    """Both see the other one in the ROS domain."""
+    lines = printed(document(observation={"other_daemons": ("this host",), "active_daemon": "this host"}))
+    assert [line for line in lines if "in charge" in line or "another one" in line] == []
+
+
 @pytest.mark.parametrize("width", [60, 80, 132, 250])
 def test_a_frame_fits_its_screen(width):
     """No line is too long; verdict and newest event stand above the topics."""

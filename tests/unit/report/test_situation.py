@@ -107,6 +107,13 @@ def test_faults_stand_beside_the_verdict_the_worst_first():
     assert judge(changed(), now_s=FINISHED_AT_S + Condition.STALE.holds_s).faults == ()
 
 
+def test_another_daemon_is_told_of_when_it_surely_stands_by():
+    """The graph shows one that was killed for a while, and one that starts does not know at once which one drives."""
+    spare = changed(observation={"other_daemons": ("this host",)})
+    for for_s, is_found in ((20.0, False), (31.0, True)):
+        assert (Condition.SPARE_DAEMON in findings(held(spare, for_s=for_s))) is is_found
+
+
 def test_the_ports_of_the_link_are_named_while_its_other_end_was_never_heard():
     """An end that spoke before is behind no firewall."""
     for other_host, is_named in (("", True), ("base", False)):
