@@ -116,7 +116,7 @@ class Access:
             ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             async with self._naming:  # one thread at a time: it may have to wait for a name server
-                return name in await asyncio.to_thread(_own_names)
+                return name in await asyncio.to_thread(_own_names, socket.gethostname().lower())
         return True
 
     def follow(self) -> bool:
@@ -158,8 +158,7 @@ def exposure(addresses: Iterable[str], protection: Protection) -> str:
 
 
 @cache
-def _own_names() -> frozenset[str]:
-    name = socket.gethostname().lower()
+def _own_names(name: str) -> frozenset[str]:
     short = name.partition(".")[0]  # some computers have their whole name as host name; mDNS takes the first part
     return frozenset({name, short, f"{short}.local", socket.getfqdn().lower()})
 

@@ -184,12 +184,14 @@ def test_a_change_of_users_ends_the_connections_of_before(folder, monkeypatch):
 
 def test_a_page_of_another_name_reads_nothing(folder, monkeypatch):
     """A browser that a foreign name has led to this computer (DNS rebinding) is refused by the Host header."""
-    monkeypatch.setattr(socket, "gethostname", lambda: "Robot.example.com")
-    monkeypatch.setattr(access, "_own_names", access._own_names.__wrapped__)
+    name = "arpd-test"
+    monkeypatch.setattr(socket, "gethostname", lambda: name)
     own = ("localhost:9464", "127.0.0.1", "[fe80::1%25wlan0]:9464", "robot", "robot.local:9464", "robot.example.com")
     others = ("rebound.example:9464", *(f"{name}.rebound.example" for name in ("robot", "127.0.0.1", "localhost")))
     with running(folder) as world:
-        for host in (*own, *others):
+        assert world.get("/api/v1/history", Host="arpd-test.local").status == 200
+        name = "Robot.example.com"  # DHCP gave it another one
+        for host in (*own, *others, "arpd-test"):
             assert world.get("/api/v1/history", Host=host).status == (200 if host in own else 421), host
 
 
@@ -219,7 +221,7 @@ def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, pa
 def test_a_name_server_that_is_silent_keeps_no_scrape_out(monkeypatch):
     """However many ask by another name, who asks by an address waits for none of them."""
     answers = threading.Event()
-    monkeypatch.setattr(access, "_own_names", lambda: answers.wait(60.0) and frozenset())
+    monkeypatch.setattr(access, "_own_names", lambda _: answers.wait(60.0) and frozenset())
     with running() as world, ThreadPoolExecutor(MAX_CONNECTIONS // 2) as threads:
         others = [threads.submit(world.get, Host="rebound.example") for _ in range(MAX_CONNECTIONS // 2)]
         assert world.get("/metrics").status == 200
