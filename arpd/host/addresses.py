@@ -79,7 +79,7 @@ def own_address(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> 
     """Return what finds this computer's address on the link, None where none is known.
 
     It is the one that is configured, or where that is not this computer's, the one from which a route leads to the
-    other end. Host names are looked up now, once.
+    other end. Host names are looked up now, once; one that both computers have leads to this one.
 
     Raises
     ------
@@ -88,9 +88,9 @@ def own_address(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> 
     """
     names = {link.own: True, link.peer: False} if link else {}
     ends = {name: found for name in names if name and (found := ends_of_route(name))}
-    if link and file and (other := ends.get(link.peer)) and other[0] == other[1]:
-        is_own_here = link.own in ends and leads_here(ends[link.own])
-        if not (is_own_here or ip_address(other[0]).is_loopback):
+    if link and file and (other := ends.get(link.peer)) and leads_here(other):
+        own, is_loop = ends.get(link.own), ip_address(other[1]).is_loopback
+        if not (own is None or ip_address(own[1]).is_loopback if is_loop else own and leads_here(own)):
             key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
             wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
             source = YamlSource(file)

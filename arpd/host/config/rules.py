@@ -56,10 +56,14 @@ def _bad_ends(source: YamlSource, relay: RelaySettings, local_domain: int | None
     if relay.link_domain == local_domain:
         wrong = f"{local_domain} is the domain of this computer's own nodes (ROS_DOMAIN_ID); choose another"
         yield source.fault(("relay", "link_domain"), wrong)
+    robot_loops, base_loops = ((each or "").startswith(("127.", "localhost")) for each in (relay.robot, relay.base))
     if relay.robot is relay.base is None:
         wrong = "needs the address of one end, or nobody would find the other; give relay.robot or relay.base"
         yield source.fault(("relay", "link_domain"), wrong)
-    elif relay.robot == relay.base and not (relay.robot or "").startswith(("127.", "localhost")):
+    elif relay.robot and relay.base and robot_loops != base_loops:
+        key, own = ("robot", relay.robot) if robot_loops else ("base", relay.base)
+        yield source.fault(("relay", key), f"{own} is every computer's own; write the address on the link, or none")
+    elif relay.robot == relay.base and not robot_loops:
         wrong = f"{relay.base} is relay.robot, too; write the base computer's own address, or none"
         yield source.fault(("relay", "base"), wrong)
 

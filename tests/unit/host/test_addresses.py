@@ -132,6 +132,9 @@ def test_a_process_without_a_link_domain_has_no_address_to_tell():
         ("10.0.0.5", "192.0.2.1", False),
         ("", "127.0.0.1", False),
         ("debian", "10.0.0.5", False),
+        ("debian", "127.0.0.1", False),
+        ("10.0.0.5", "debian", True),
+        ("192.0.2.1", "debian", True),
         ("10.0.0.5", "nowhere", False),
     ],
 )
