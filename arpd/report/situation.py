@@ -191,7 +191,8 @@ def _why_cut(relay: RelaySummary, settings: RelaySettings) -> str:
         return f"the base computer's end on {relay.other_host} is silent, so no topic crosses; {see}"
     first, last = settings.ports
     firewall = f"a firewall must let UDP ports {first} to {last} in, on both computers"
-    return f"no end on the base computer is heard, so no topic crosses; {see}; {firewall}"
+    heard = f"is heard in ROS domain {settings.link_domain} (relay.link_domain)"
+    return f"no end on the base computer {heard}, so no topic crosses; {see}; {firewall}"
 
 
 def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:

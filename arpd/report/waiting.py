@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _LIST = "arpd topics lists what there is"
+_ENVIRONMENT = (
+    " with the ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and FASTDDS_BUILTIN_TRANSPORTS of /etc/default/arpd"
+)
 
 
 def first_plan(snapshot: Snapshot) -> str:
@@ -91,11 +94,8 @@ def _of_two_ends(relay: RelaySummary | None) -> str:
         return f"the relay begins to carry {count(wanted, 'topic')}"
     if offered:
         could = f"the relay could carry {count(offered, 'topic')}, and no node on the other side reads one"
-        return f"{could}; start a reader there; {_LIST}"
-    return (
-        "the relay finds no topic on either side; start your nodes with the ROS_DOMAIN_ID, "
-        "ROS_AUTOMATIC_DISCOVERY_RANGE and FASTDDS_BUILTIN_TRANSPORTS of /etc/default/arpd"
-    )
+        return f"{could}; start a reader there{_ENVIRONMENT}; {_LIST}"
+    return f"the relay finds no topic on either side; start your nodes{_ENVIRONMENT}"
 
 
 def _where(snapshot: Snapshot) -> str:

@@ -89,11 +89,7 @@ STOPPED = unit("inactive", is_enabled=False)
         (unit("activating"), "inactive", "ask again"),
         (unit("deactivating"), "inactive", "restores the publishers"),
         (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
-        (
-            unit("activating", is_restarted=True, result="success"),
-            "inactive",
-            "reason unknown: see journalctl",
-        ),
+        (unit("activating", is_restarted=True, result="success"), "inactive", "arpd failed, see journalctl -u arpd; s"),
         (unit("failed", exit_code=78, result="exit-code"), "inactive", "arpd check"),
         (unit("failed", result="watchdog"), "inactive", "watchdog"),
         (unit("inactive"), "inactive", "systemctl start arpd"),
