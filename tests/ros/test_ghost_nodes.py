@@ -7,11 +7,11 @@ import time
 import pytest
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
-from arpd.model.endpoints import SwapState, WriterQos
+from arpd.model.endpoints import WriterQos
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
 from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.envelope import Record
@@ -46,7 +46,7 @@ class Ghost:
     def __init__(self, node, **offer):
         about = WriterOffer(node="", gid="", **offer)
         self.writer = GhostWriter(node, String, TOPIC, about, depth=10, most_held_bytes=1000)
-        self.node, self.written, self.is_writing, self.most_held = node, 0, False, 0
+        self.node, self.written, self.is_writing = node, 0, False
         self.is_reachable, self.digits = True, 1
         self.lock = threading.Lock()  # as that of `Incoming`
 
@@ -57,7 +57,6 @@ class Ghost:
                     self.written += 1
                     sample = serialize_message(String(data=str(self.written).zfill(self.digits)))
                     self.writer.write(Record(b"", self.written, sample))
-                self.most_held = max(self.most_held, self.held)
 
     def step(self, stopping):
         while not stopping.wait(0.1):
@@ -73,10 +72,6 @@ class Ghost:
     @property
     def qos(self):
         return self.writer._swap.qos
-
-    @property
-    def held(self):
-        return len(self.writer._swap.held)
 
     @property
     def is_busy(self):
@@ -109,30 +104,6 @@ def listen(ros):
         return reader, received
 
     return listen
-
-
-def test_a_swap_of_a_ghost_loses_doubles_and_reorders_nothing(ghost, listen, monkeypatch, eventually):
-    """At 100 Hz readers hear every sample once across swaps of depth and deadline, also while samples are held."""
-    ghost = ghost()
-    swap, readers = ghost.writer._swap, [listen("sure"), listen("maybe", reliability=QoSReliabilityPolicy.BEST_EFFORT)]
-    for reader, _ in readers:
-        eventually("the reader finds the ghost", reader.get_publisher_count)
-    eventually("the ghost finds both", lambda: ghost.writer.matched() == 2)
-    ghost.is_writing = True
-    for deadline_ns, depth in ((500 * MS, 50), (200 * MS, 5), (0, 0)):
-        with monkeypatch.context() as patch:
-            patch.setattr(swap.current, "is_acknowledged", lambda: False)
-            ghost.most_held = 0
-            ghost.plan(depth=depth, deadline_ns=deadline_ns)
-            eventually("samples are held", lambda: ghost.most_held > 1)
-            eventually("they are held no more", lambda: swap.state is SwapState.WATCHING and not ghost.held)
-        eventually("the plan alone is offered", lambda wanted=deadline_ns: ghost.deadlines == [wanted])
-        assert ghost.qos.depth == max(depth, 10)
-        eventually("the swap is over", lambda: not ghost.is_busy)
-    ghost.is_writing = False
-    for _, received in readers:
-        eventually("the last sample arrives", lambda received=received: received[-1] == ghost.written)
-        assert received == list(range(1, ghost.written + 1))
 
 
 def test_a_ghost_of_large_samples_holds_few_of_them(ghost, listen, eventually):

@@ -116,17 +116,6 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
     assert refused == {(MessageKind.REPORTS, MessageRefusal.UNANSWERED): 1}
 
 
-def test_a_peer_too_many_is_refused_though_it_answers_no_probe(ros, eventually):
-    """A daemon whose capacity is pinned sends none, and counts what it leaves out."""
-    daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
-    report = Receiver("base", 0.0).look(1.0, None)
-    eventually("the daemon hears reports", reports.get_subscription_count)
-    for peer in ("base", "liar"):
-        reports.publish(wrap(encode_report(replace(report, peer=peer))))
-    refused = eventually("one is refused", lambda: daemon.observe().refused)
-    assert refused == {(MessageKind.REPORTS, MessageRefusal.QUOTA): 1}
-
-
 def test_the_daemon_knows_the_peers_clock(daemon, eventually):
     """On one host both clocks are the same: the daemon finds that, within half a round trip."""
 

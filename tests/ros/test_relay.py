@@ -55,16 +55,6 @@ def test_it_carries_what_an_unmodified_node_publishes(elsewhere, lines, carry, t
     eventually("the other one is named", lambda: lines[-1] == "relaying 1 of 2 topics; not published: /never")
 
 
-def test_a_latched_topic_stays_latched(ros, elsewhere, lines, carry, eventually):
-    """A late reader of the relayed topic receives the map published before it joined."""
-    talker = elsewhere("map_server").create_publisher(String, "/map", latched(1))
-    talker.publish(String(data="the map"))
-    carry(ros.node("relay"), RelaySettings(topics=(RelayTopic(name="/map"),)))
-    eventually("it is carried", lambda: lines[-1] == "relaying 1 of 1 topics")
-    received = listen(ros.node("late"), "/link/map", latched(1))
-    eventually("the late reader gets the map", lambda: received == ["the map"])
-
-
 def test_a_late_reader_hears_each_of_many_latched_writers(ros, elsewhere, lines, carry, eventually):
     """A dozen writers publish a static transform once each, and tf2 needs all of them."""
     frames = elsewhere("frames")

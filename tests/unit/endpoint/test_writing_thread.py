@@ -78,21 +78,76 @@ def test_who_publishes_all_the_time_cannot_keep_a_lane():
         assert not each.is_alive()
 
 
-def test_a_link_that_is_full_of_a_picture_holds_no_caller():
-    """Under a price a large sample is written in arpd's thread: a camera's callback goes on while it leaves."""
-    written, is_free = [], threading.Event()
-    thread, lane = make(), Lane(lambda sample: written.append(sample[:1]) or is_free.wait(LONG_S))
+FAST = Price(share_per_weight=math.inf, capacity_bytes_per_second=1e9)
+
+
+@pytest.mark.parametrize(("publish", "price"), [(WritingThread.publish, FAST), (WritingThread.pass_on, None)])
+def test_a_link_that_is_full_of_a_picture_holds_no_caller(publish, price):
+    """Under a price a large sample is written in arpd's thread: a camera's callback goes on while it leaves.
+
+    What is passed on is, without a price, too.
+    """
+    written, writers, is_free = [], set(), threading.Event()
+
+    def write(sample):
+        writers.add(threading.get_ident())
+        written.append(sample[:1])
+        is_free.wait(LONG_S)
+
+    thread, lane = make(), Lane(write)
     thread.add(lane)
-    thread.retune(lane, lane.plan, Price(share_per_weight=math.inf, capacity_bytes_per_second=1e9))
+    thread.retune(lane, lane.plan, price)
     thread.start()
     for number in b"abc":
-        thread.publish(lane, bytes([number]) + LARGE)
+        publish(thread, lane, bytes([number]) + LARGE)
         eventually("the first one leaves", lambda: written)
     is_free.set()
     eventually("the newest one follows", lambda: written == [b"a", b"c"])
+    assert threading.get_ident() not in writers
     thread.remove(lane)
     with pytest.raises(InvalidHandle):
-        thread.publish(lane, LARGE + b"d")
+        publish(thread, lane, LARGE + b"d")
+    thread.stop()
+
+
+def test_who_serves_many_topics_waits_for_no_second_write_that_blocks():
+    """After a write that blocked, the thread writes all that is passed on, until writes are quick."""
+    skipped_s, me, blocking, quick = [0.0], threading.get_ident(), [], []
+    thread = make(clock=lambda: time.monotonic() + sum(skipped_s))
+    slow = Lane(lambda _sample: blocking.append(threading.get_ident()) or skipped_s.append(LONG_S))
+    other = Lane(lambda _sample: quick.append(threading.get_ident()))
+    for lane in (slow, other):
+        thread.add(lane)
+    thread.start()
+    for lane in (other, slow):
+        thread.pass_on(lane, b"0")
+    assert [*quick, *blocking] == [me, me]
+    for lane in (slow, other):
+        thread.pass_on(lane, b"1")
+    eventually("both topics go on", lambda: len(blocking) == len(quick) == 2)
+    assert me not in (blocking[1], quick[1])
+    skipped_s.append(100.0 * LONG_S)
+    thread.pass_on(other, b"later")
+    assert quick[-1] == me
+    thread.stop()
+
+
+def test_publish_waits_for_the_write_before_it_as_rclpy_does():
+    """A plain publisher loses nothing when several threads publish and its writer blocks."""
+    thread, written = make(), []
+    thread.add(lane := Lane(lambda sample: written.append(sample) or time.sleep(0.01)))
+    thread.start()
+
+    def publish(who):
+        for number in range(10):
+            thread.publish(lane, bytes([who, number]))
+
+    publishing = [threading.Thread(target=publish, args=(who,)) for who in b"abc"]
+    for each in publishing:
+        each.start()
+    for each in publishing:
+        each.join()
+    assert all([sample[1] for sample in written if sample[0] == who] == [*range(10)] for who in b"abc")
     thread.stop()
 
 
@@ -195,7 +250,7 @@ def test_a_lane_that_fails_at_its_turn_costs_no_other(monkeypatch, faulty):
 
     for lane in (bad, good):
         thread.add(lane)
-        thread.retune(lane, lane.plan, Price(share_per_weight=math.inf, capacity_bytes_per_second=1e9))
+        thread.retune(lane, lane.plan, FAST)
     for lane in (bad, good):
         thread._queue.offer(lane, LARGE + b"1", 0.0)
     with monkeypatch.context() as patch:

@@ -74,3 +74,6 @@ def test_no_more_peers_are_believed_than_there_are():
         assert daemon.answer(now_s=now_s) is not MessageRefusal.QUOTA
         results = [daemon.answer(now_s=now_s, peer=f"liar-{tick}-{k}") for k in range(5)]
         assert results.count(MessageRefusal.QUOTA) >= 4
+    pinned = PeerReports(9)  # a daemon whose capacity is known asks nobody
+    pinned.see(1)
+    assert [pinned.note(replace(REPORT, peer=peer)) for peer in ("base", "liar")] == [None, MessageRefusal.QUOTA]
