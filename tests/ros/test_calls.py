@@ -124,7 +124,7 @@ def test_an_action_is_cancelled_across_the_link(world, eventually):
 
     It comes after an outage, too, in which nobody can send a goal.
     """
-    ends = world("actions: [/fibonacci]", "call_timeout: 2s").start()
+    ends = world("actions: [/fibonacci]", "call_timeout: 5s").start()
     server = fibonacci(ends.side("robot"))
     client, feedback = ActionClient(ends.side("base").node("user"), Fibonacci, "/fibonacci"), []
     for each in (server, client):
@@ -133,7 +133,7 @@ def test_an_action_is_cancelled_across_the_link(world, eventually):
     handle = finished(eventually, client.send_goal_async(Fibonacci.Goal(order=1000), feedback.append))
     assert handle.accepted
     result = handle.get_result_async()
-    eventually("three seconds have passed", lambda: feedback and len(feedback[-1].feedback.sequence) > 17)
+    eventually("six seconds have passed", lambda: feedback and len(feedback[-1].feedback.sequence) > 32)
     ends.processes["robot"].send_signal(signal.SIGSTOP)
     eventually("an outage is seen", lambda: not client.server_is_ready())
     ends.processes["robot"].send_signal(signal.SIGCONT)
