@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import re
+import resource
 import secrets
 import sys
 import threading
@@ -77,6 +78,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     """
     configure_logging(log_level, name="arpd-relay-far" if is_far else "arpd-relay")
     sys.setswitchinterval(_SWITCH_S)
+    allow_many_files()
     settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
     stopping = threading.Event()
     stop_on_signals(stopping)
@@ -110,6 +112,15 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         with ros_node(name) as node, closing(Prefixed(node, relay, on_change=notifier.status)) as prefixed:
             serve(prefixed.look, _LOOK_S, prefixed.threads)
     return 0
+
+
+def allow_many_files() -> None:
+    """Let this process open as many files as the system may let it: each topic and service takes one.
+
+    By default systemd and shells let it have 1024, of half a million.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def return_large_blocks() -> None:

@@ -1,6 +1,7 @@
 """The process of one end: its watchdog, its stop, and what it refuses."""
 
 import array
+import resource
 import signal
 import time
 from contextlib import closing
@@ -102,6 +103,16 @@ def test_an_end_that_calls_and_carries_feeds_its_watchdog_and_stops_without_a_fa
     assert [ends.end(end, signal.SIGTERM) for end in ("base", "robot")] == [0, 0]
     logs = [(tmp_path / f"{end}.log").read_text() for end in ("base", "robot")]
     assert not [log for log in logs if "Traceback" in log or "Error" in log], logs
+
+
+def test_an_end_may_open_more_files_than_a_shell_or_systemd_lets_it_by_default(world, stack, eventually):
+    """Each topic and service takes one: an end of 1024 carried nothing new any more where 130 nodes have parameters."""
+    soft, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, most))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most // 2, most))
+    ends = world().start("robot")
+    robot = psutil.Process(ends.processes["robot"].pid)
+    eventually("it may open all", lambda: robot.rlimit(resource.RLIMIT_NOFILE) == (most, most))
 
 
 class Another(Stranger):
