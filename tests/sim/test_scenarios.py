@@ -191,15 +191,11 @@ def test_what_is_arpds_own_is_no_cross_traffic(schedule, duration_s, more):
 
 
 def test_an_outage_does_not_hide_cross_traffic():
-    """It keeps its room through outages of 0.6 s every 5 s, and no queue of it and of arpd's topics stands."""
-    cuts = outages(*((20.0 + 5.0 * k, 20.6 + 5.0 * k) for k in range(5)))
-    long_s = []  # at the 95th percentile, 0.03 to 0.13 s by the seed
-    for seed in range(1, 6):
-        result = play("0:10mbit", 45.0, losses=cuts, cross_traffic=flow(5.0, 60.0, 4.0), seed=seed)
-        seen = between(result.moments, 21.0, 45.0)
-        assert min(moment.cross_traffic_bytes_per_second for moment in seen) > 0.5 * 4.0 * MBIT
-        long_s.append(sorted(moment.queue_delay_s for moment in seen)[round(0.95 * len(seen))])
-    assert statistics.median(long_s) < 0.08
+    """It is known, and so keeps its room, through outages of 0.6 s every 5 s."""
+    cuts = outages(*((20.0 + 5.0 * k, 20.6 + 5.0 * k) for k in range(3)))
+    result = play("0:10mbit", 35.0, losses=cuts, cross_traffic=flow(5.0, 60.0, 4.0))
+    seen = between(result.moments, 21.0, 35.0)
+    assert min(moment.cross_traffic_bytes_per_second for moment in seen) > 0.7 * 4.0 * MBIT
 
 
 def test_an_upload_gets_room_and_gives_it_back():
