@@ -11,12 +11,10 @@ from scripts.bench import __main__ as bench
 from scripts.bench.child import ChildError
 from scripts.bench.fuzz import READERS
 from scripts.bench.harness import conditions
-from scripts.bench.links import links
 from scripts.bench.report import CELL, Summary, Table
-from scripts.bench.robots import FAULTS, ROBOTS, USUAL_PARTS, chosen, summary_of, throttled
+from scripts.bench.robots import FAULTS, USUAL_PARTS, chosen, summary_of
 
 NOW = {"commit": "c2", "tree": "t1", "is_modified": False}
-OLD = NOW | {"tree": "t0"}
 
 
 @pytest.mark.parametrize(
@@ -38,28 +36,6 @@ def test_a_benchmark_is_known_while_what_it_measures_is_the_same(monkeypatch, tm
     assert not bench.is_known("demo")
     Summary(about="", conditions=[kept]).write(tmp_path / "demo.json")
     assert bench.is_known("demo") is is_known
-
-
-@pytest.mark.parametrize(
-    ("lacking", "more", "are_known"),
-    [
-        (0, [], [True, True, True, True]),
-        (1, [], [False, True, True, True]),
-        (0, [OLD | {"of": "demo .* two_ends"}], [True, True, True, False]),
-        (0, [OLD | {"of": "rgbd"}], [True, True, True, True]),
-    ],
-    ids=["all", "one side lacks", "one side is older", "what is not usual is older"],
-)
-def test_robots_are_known_once_each_usual_side_was_played(monkeypatch, tmp_path, lacking, more, are_known):
-    """A side that was not played, or last by another tree, leaves its part to play; a round that failed was played."""
-    monkeypatch.setattr(bench, "RESULTS", tmp_path)
-    monkeypatch.setattr(bench, "conditions", lambda: NOW)
-    *rows, last = [list(cell) for part in USUAL_PARTS for cell in chosen(part)]
-    rounds = Table(columns=list(CELL), rows=[*rows[lacking:], ["rgbd", "ramp", "sender", "plain"]])
-    kept = Summary(about="", conditions=[NOW, *more], failed=[[*last, "a node ended"]], rounds=rounds)
-    kept.write(tmp_path / "robots.json")
-    assert [bench.is_known("robots", part) for part in USUAL_PARTS] == are_known
-    assert bench.is_known("robots") is all(are_known)
 
 
 def test_what_is_void_is_played_once_more_and_a_second_usual_measures_nothing(monkeypatch, tmp_path, capsys):
@@ -108,27 +84,6 @@ def test_what_is_void_is_played_once_more_and_a_second_usual_measures_nothing(mo
     assert {name for name, line in lines.items() if "(never measured)" in line} == bench.SCENARIOS.keys() - {
         *bench.USUAL
     }
-
-
-def test_a_throttled_robot_offers_what_it_did_and_a_share_of_it_passes():
-    """So what the throttle drops is missing in the account, as what arpd withholds is; commands pass."""
-    before, after = ROBOTS["tb4"].topics, throttled(ROBOTS["tb4"], links()["steady-5"][1]).topics
-    assert [topic.rate_hz for topic in before] == [topic.rate_hz for topic in after]
-    image = next(topic for topic in after if topic.name == "/image")
-    passed = sum(image.passes(number) for number in range(1000))
-    assert passed == pytest.approx(1000 * image.share, abs=1)
-    assert 0 < passed < 200
-    assert all(topic.passes(number) for topic in after if topic.name == "/cmd_vel" for number in range(100))
-
-
-@pytest.mark.parametrize("path", ["", None], ids=["no git", "no clone"])
-def test_conditions_need_no_git(monkeypatch, tmp_path, path):
-    """Without git, or in what was unpacked from an archive, they say no commit."""
-    monkeypatch.setattr("scripts.bench.harness.REPO", tmp_path)
-    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    if path is not None:
-        monkeypatch.setenv("PATH", path)
-    assert (conditions()["commit"], conditions()["tree"], conditions()["is_modified"]) == ("", "", False)
 
 
 def test_a_tree_is_what_is_measured_and_not_the_commit(monkeypatch, tmp_path):

@@ -14,26 +14,6 @@ def of_rounds(rows, *conditions, never_matched=(), **drawn):
     return made
 
 
-def test_a_part_that_is_measured_again_takes_the_place_of_the_first():
-    """So do its conditions, where no round of the first is left, and its curves in the picture, beside the others."""
-    plain, arpd, other = (
-        ["tb4", "link", "middle", "plain"],
-        ["tb4", "link", "middle", "two_ends"],
-        ["rgbd", "l", "m", "plain"],
-    )
-    kept = of_rounds([[*plain, 1], [*arpd, 1], [*other, 2]], {"of": "tb4 "}, {"of": "rgbd"}, plain=1.0, two_ends=2.0)
-    part = of_rounds([[*plain, 3], [*plain, 5], [*arpd, 6]], {"of": "^tb4"}, plain=3.0)
-    again = kept.with_part(part, summary_of)
-    assert (again.drawn.columns, again.drawn.rows) == (["s", "plain", "two_ends"], [[0.0, 3.0, 2.0]])
-    _, first, second = again.tables
-    assert (first.title, [row[:3] for row in first.rows]) == ("rgbd, l, m", [["plain", 1, "2"]])
-    assert (second.title, [row[:3] for row in second.rows]) == (
-        "tb4, link, middle",
-        [["plain", 2, "4 (3–5)"], ["two_ends", 1, "6"]],
-    )
-    assert again.conditions == [{"of": "rgbd"}, {"of": "^tb4"}]
-
-
 def test_a_round_without_figures_is_named_until_its_place_is_measured_again(tmp_path):
     """So are its conditions, also where no round of a part has figures, and the rounds of others stay."""
     plain, other = (["tb4", "link", "middle", "plain"], ["rgbd", "link", "middle", "plain"])
