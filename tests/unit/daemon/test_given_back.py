@@ -10,26 +10,12 @@ from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.settings import Settings
-from tests.sample_link import LINK
 from tests.sample_publishers import publisher
-from tests.unit.daemon.world import World
+from tests.unit.daemon.world import KnownLink, World
 
 MS = 1_000_000
 OWN = 10, 90 * MS  # depth and deadline that each application has chosen
 BACK_S = 30.0  # three dwells
-
-
-class KnownLink:
-    """An estimator that knows a link on which no deadline is as short as the applications' own."""
-
-    has_evidence = True
-    state = LinkState.STEADY
-
-    def update(self, _observation):
-        return replace(LINK, capacity_bytes_per_second=1e5, state=self.state)
-
-    def wanted_probes(self, _now_s, *, is_short):
-        return ()
 
 
 class Robot(World):
@@ -44,7 +30,7 @@ class Robot(World):
                 for name in names
             )
         )
-        self.link, self.now_s = KnownLink(), 0.0
+        self.link, self.now_s = KnownLink(1e5), 0.0  # where no deadline is as short as the applications' own
         self.daemon: Any = Daemon(self, Settings(), clock=lambda: self.now_s, estimator=self.link)
         self.ticks(15.0)
         self.planned = {name: self.qos(name) for name in names}

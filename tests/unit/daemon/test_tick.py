@@ -15,9 +15,8 @@ from arpd.model.plan import MOST_GENERATION
 from arpd.model.settings import LinkSettings, Settings
 from arpd.report.situation import status_line
 from arpd.solve.program import Program
-from tests.sample_link import LINK
 from tests.sample_publishers import publisher
-from tests.unit.daemon.world import World
+from tests.unit.daemon.world import KnownLink, World
 
 TOPIC = "/t"
 MS = 1_000_000
@@ -164,22 +163,9 @@ def test_a_tick_that_fails_leaves_the_plan_in_force(monkeypatch, stage):
     assert daemon.snapshot.totals.ticks_failed == 10
 
 
-class KnownLink:
-    """An estimator that knows the capacity."""
-
-    has_evidence = True
-    capacity, state = 1e6, LinkState.STEADY
-
-    def update(self, _observation):
-        return replace(LINK, capacity_bytes_per_second=self.capacity, state=self.state)
-
-    def wanted_probes(self, _now_s, *, is_short):
-        return ()
-
-
 def test_it_plans_twice_a_second_and_at_once_on_news():
     """Between two plans only the price follows the link, and another state is news; each duration has its histogram."""
-    world, link, told = Robot(), KnownLink(), Counter()
+    world, link, told = Robot(), KnownLink(1e6), Counter()
     world.change(source_rate_hz=100.0, remote_readers=1)
 
     def timed(name, _took_s):
@@ -199,7 +185,7 @@ def test_it_plans_twice_a_second_and_at_once_on_news():
 
 def test_topics_that_have_settled_are_planned_when_the_capacity_is_known():
     """A daemon that starts waits for the capacity and for its topics at the same time, not for one after the other."""
-    world, link = Robot(), KnownLink()
+    world, link = Robot(), KnownLink(1e6)
     world.change(source_rate_hz=100.0, remote_readers=1)
     daemon: Any = Daemon(world, Settings(), clock=lambda: 0.0, estimator=link)
     for tick in range(40):
@@ -211,7 +197,7 @@ def test_topics_that_have_settled_are_planned_when_the_capacity_is_known():
 
 def test_the_price_follows_the_link_within_a_tick():
     """The tick that sees another capacity sends another price, and no plan."""
-    world, link = Robot(), KnownLink()
+    world, link = Robot(), KnownLink(1e6)
     world.change(source_rate_hz=100.0, remote_readers=1)
     daemon: Any = Daemon(world, Settings(), clock=lambda: 0.0, estimator=link)
     for tick in range(19):

@@ -4,8 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from arpd.model.link import LinkState
 from arpd.model.observation import MemoryState
-from tests.sample_link import INTERFACE, observation
+from tests.sample_link import INTERFACE, LINK, observation
+
+
+class KnownLink:
+    """An estimator that knows the link."""
+
+    has_evidence, state = True, LinkState.STEADY
+
+    def __init__(self, capacity):
+        self.capacity = capacity
+
+    def update(self, _observation):
+        return replace(LINK, capacity_bytes_per_second=self.capacity, state=self.state)
+
+    def wanted_probes(self, _now_s, *, is_short):
+        return ()
 
 
 class World:
