@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from arpd.model.link import CapacityKind
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.settings import AUTO
 from arpd.report.conditions import Condition
 from arpd.report.wording import count, listed
@@ -71,6 +72,8 @@ def peer(snapshot: Snapshot) -> str:
         return f"{listed([*observation.peer_ages_s])} reports no more, so {without}"
     if observation.peers:
         many = "a peer is" if observation.peers == 1 else f"{observation.peers} peers are"
+        if observation.refused.get((MessageKind.REPORTS, MessageRefusal.MALFORMED)):
+            return f"{many} in the graph, of another version, so {without}; install one arpd on both computers"
         return f"{many} in the graph, but no report arrives, so {without}; see journalctl -u arpd-peer there"
     start = f"start arpd-peer on the other computer{_where(snapshot)}: sudo systemctl enable --now arpd-peer"
     if AUTO == snapshot.settings.link.interface != snapshot.interface:

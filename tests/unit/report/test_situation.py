@@ -11,6 +11,7 @@ import pytest
 import arpd.web
 from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.link import CapacityKind, LinkState
+from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.plan import QosPlan
 from arpd.model.relay import RelaySummary, RelayTopics
 from arpd.model.settings import LinkSettings, RelaySettings, RelayTopic, Settings, TopicSettings
@@ -250,11 +251,15 @@ def test_without_publishers_the_verdict_names_the_next_step(snapshot, words):
     assert verdict.phrase in status_line(snapshot)
 
 
+UNREADABLE = {(MessageKind.REPORTS, MessageRefusal.MALFORMED): 2}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({}, ("systemctl enable --now arpd-peer", "ROS domain 7", "auto")),
-        ({"observation": {"peers": 1}}, ("no report arrives",)),
+        ({"observation": {"peers": 1, "refused": {}}}, ("no report arrives",)),
+        ({"observation": {"peers": 1, "refused": UNREADABLE}}, ("install one arpd",)),
         ({"link": {"kind": CapacityKind.CONFIGURED}, "settings": PINNED}, ("link.capacity",)),
         ({"link": {"kind": CapacityKind.RADIO}}, ("radio",)),
     ],
