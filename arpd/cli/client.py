@@ -203,6 +203,7 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
         reason = "timed out" if is_late else getattr(error, "strerror", None) or error
         hint = "is it running (systemctl status arpd), and do its http.host and http.port name this address?"
+        hint += " Does it speak https?" if is_late and url.lower().startswith("https:") else ""
         why = f"no daemon answers at {url} ({reason}); {hint}"
         return NoAnswerError(why, url=url, is_late=is_late)
     else:

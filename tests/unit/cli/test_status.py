@@ -147,7 +147,9 @@ def test_an_answer_that_only_trickles_ends_at_one_deadline(run, monkeypatch, lin
     monkeypatch.setattr(client, "_DEADLINE_S", 0.3)
     with trickling(line) as url:
         code, out, err = run("status", "--url", url)
+        by_tls = run("status", "--url", url.replace("http", "https"))[2] if said == "timed out" else ""
     assert (code, out, said in err, err.count("\n")) == (3, "", True, 1)
+    assert ("Does it speak https?" in err, "Does it speak https?" in by_tls) == (False, bool(by_tls))
 
 
 @pytest.mark.parametrize("command", [["status"], ["doctor"]])
