@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate
@@ -28,74 +28,48 @@ _INFO, _INFO_TYPE = "/camera_info", "sensor_msgs/msg/CameraInfo"
 _PICTURE_TYPES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")  # the one that suits Wi-Fi best first
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Role:
+class Role(NamedTuple):
     """Use of a topic, and what suits it.
 
     Parameters
     ----------
-    reason : why, for a comment
     weight, latency_budget_s : as in the configuration
     share : floor as a part of the measured rate, within the next two
     least_hz, most_hz : bounds of the floor; it never exceeds the measured rate (Hz)
     most_kbit : further bound of the floor, on the wire: large samples are few (kbit/s)
+    reason : why, for a comment
     """
 
-    reason: str
     weight: float
-    share: float = 1.0
+    share: float
     least_hz: float
     most_hz: float
-    most_kbit: float = math.inf
+    most_kbit: float
+    reason: str
     latency_budget_s: float = 1.0
 
 
+_ANY = math.inf
+# fmt: off
 COMMAND = Role(
-    reason="a command: a late one is dangerous, so it comes first and only the newest ones count",
-    weight=10,
-    least_hz=20,
-    most_hz=20,
-    latency_budget_s=0.2,
+    10, 1, 20, 20, _ANY, "a command: a late one is dangerous, so it comes first and only the newest ones count", 0.2
 )
 TRANSFORM = Role(
-    reason="transforms, or time: each message may hold other frames, and others wait for it",
-    weight=6,
-    least_hz=10,
-    most_hz=100,
+    6, 1, 10, 100, _ANY, "transforms, or time: each message may hold other frames, and others wait for it"
 )
-STATE = Role(
-    reason="the robot's motion, or a reading: small, and control needs it fresh",
-    weight=5,
-    share=0.25,
-    least_hz=5,
-    most_hz=30,
-    most_kbit=200,
-)
-LATCHED = Role(  # which it keeps although it is silent
-    reason="latched: readers keep the newest one, so each should arrive", weight=4, least_hz=1, most_hz=10, most_kbit=50
-)
-PERCEPTION = Role(
-    reason="what the robot sees, in few bytes: useful at a lower rate, too",
-    weight=3,
-    share=0.25,
-    least_hz=1,
-    most_hz=5,
-    most_kbit=250,
-)
-OTHER = Role(reason="a type that arpd does not know: please judge", weight=2, least_hz=1, most_hz=1, most_kbit=50)
+STATE = Role(5, 0.25, 5, 30, 200, "the robot's motion, or a reading: small, and control needs it fresh")
+# It keeps that although it is silent.
+LATCHED = Role(4, 1, 1, 10, 50, "latched: readers keep the newest one, so each should arrive")
+PERCEPTION = Role(3, 0.25, 1, 5, 250, "what the robot sees, in few bytes: useful at a lower rate, too")
+OTHER = Role(2, 1, 1, 1, 50, "a type that arpd does not know: please judge")
 VIDEO = Role(
-    reason="WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key frame: "
+    1, 1, 0, _ANY, _ANY,
+    "WARNING: a stream whose frames need those before them, so a lower rate breaks it until the next key frame: "
     "its minimum rate is all it sends. If that is too much, let the encoder send less, or send pictures",
-    weight=1,
-    least_hz=0,
-    most_hz=math.inf,
 )
-PICTURE = Role(
-    reason="large: it takes what the others leave", weight=1, share=0.1, least_hz=0.5, most_hz=2, most_kbit=400
-)
-DIAGNOSTIC = Role(
-    reason="diagnostics: nobody waits for them", weight=0.5, share=0.2, least_hz=0.2, most_hz=0.5, most_kbit=50
-)
+PICTURE = Role(1, 0.1, 0.5, 2, 400, "large: it takes what the others leave")
+DIAGNOSTIC = Role(0.5, 0.2, 0.2, 0.5, 50, "diagnostics: nobody waits for them")
+# fmt: on
 _BY_TYPE: tuple[tuple[Role, str], ...] = (
     (TRANSFORM, r"tf2?_msgs/msg/TFMessage|rosgraph_msgs/msg/Clock"),
     (COMMAND, r"geometry_msgs/msg/Twist(Stamped)?|(ackermann|trajectory|control)_msgs/.*|sensor_msgs/msg/Joy"),
