@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from arpd.solve.topics import Traffic, assumed_traffic, rows_of_traffic
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     Document = Mapping[str, Any]
 
@@ -61,7 +62,6 @@ what a rate or depth is bound by:
   memory           program.memory_budget"""
 _PAPER, _OWN = ("rmax", "sensing", "actuation"), ("config", "capacity")
 _SUMMED = ("desired_rate_hz", "rate_hz")
-_RANKS = (0, 6, 7, 4, 5, 0, 3, 0, 0, 1, 2)  # of the columns: how soon a narrow terminal loses each
 _LIMITS: Document = {"rmin": 1.0, "dmin": 1, "dmax": 5000}
 _BOTH_MODES = "give --rmax, --sensing and --actuation (the paper), or --config with --capacity (your topics)"
 
@@ -206,37 +206,12 @@ def _show(plan: Document) -> None:
         *([f"         gave way: {answer['degradation']}"] if answer["degradation"] else []),
         f"memory   {used} of {budget} when every history is full",
     ]
-    titles = [
-        "TOPIC",
-        "WEIGHT",
-        "PAYLOAD\nB",
-        "MINIMUM\nHZ",
-        "DESIRED\nHZ",
-        "RATE\nHZ",
-        "LINK\n%",
-        "DEADLINE\nMS",
-        "DEPTH",
-        "RATE\nBOUND BY",
-        "DEPTH\nBOUND BY",
-    ]
     total = [f"total of {len(rows)}", "", "", "", *(_four(sum(row[key] for row in rows)) for key in _SUMMED)]
     total += [f"{100 * plan['share']:.1f}", "", "", "", ""]
-    table = fitted([titles, *map(_cells, rows), total], ranks=_RANKS, words=titles[-2:])
+    cells = [[cell(row) for _, cell in _COLUMNS.values()] for row in rows]
+    ranks, titles = [rank for rank, _ in _COLUMNS.values()], [*_COLUMNS]
+    table = fitted([titles, *cells, total], ranks=ranks, words=titles[-2:])
     show(*map(Text, head), "", table, "")
-
-
-def _cells(row: Document) -> Sequence[str]:
-    return (
-        row["topic"],
-        format_number(row["weight"]),
-        *(_four(row[key]) for key in ("payload_bytes", "min_rate_hz", "desired_rate_hz")),
-        _four(row["rate_hz"]) if row["rate_hz"] else "paused",
-        f"{100 * row['share']:.1f}",  # one decimal for all: the points of a column stand below each other
-        _four(row["deadline_ns"] * 1e-6) if row["deadline_ns"] else "none",
-        str(row["depth"]),
-        _words(row["binding"]),
-        _words(row["depth_binding"]),
-    )
 
 
 def _words(binding: str) -> str:
@@ -245,6 +220,22 @@ def _words(binding: str) -> str:
 
 def _four(value: float) -> str:
     return format_number(value, digits=4)
+
+
+# Of a topic's row: how soon a narrow terminal loses the column, and what stands in it.
+_COLUMNS: Mapping[str, tuple[int, Callable[[Document], str]]] = {
+    "TOPIC": (0, itemgetter("topic")),
+    "WEIGHT": (6, lambda row: format_number(row["weight"])),
+    "PAYLOAD\nB": (7, lambda row: _four(row["payload_bytes"])),
+    "MINIMUM\nHZ": (4, lambda row: _four(row["min_rate_hz"])),
+    "DESIRED\nHZ": (5, lambda row: _four(row["desired_rate_hz"])),
+    "RATE\nHZ": (0, lambda row: _four(row["rate_hz"]) if row["rate_hz"] else "paused"),
+    "LINK\n%": (3, lambda row: f"{100 * row['share']:.1f}"),  # one decimal for all: points stand below each other
+    "DEADLINE\nMS": (0, lambda row: _four(row["deadline_ns"] * 1e-6) if row["deadline_ns"] else "none"),
+    "DEPTH": (0, lambda row: str(row["depth"])),
+    "RATE\nBOUND BY": (1, lambda row: _words(row["binding"])),
+    "DEPTH\nBOUND BY": (2, lambda row: _words(row["depth_binding"])),
+}
 
 
 SOLVE = Command(_TEXT, _add_options, _solve)
