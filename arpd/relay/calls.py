@@ -220,10 +220,10 @@ class CallBook:
         self._send(record, self._number)
         self._tell_s = min(self._tell_s, now_s + REPEAT_S)
 
-    def fail(self, service: str, message: str) -> None:
+    def fail(self, service: str, reason: FailureReason, message: str) -> None:
         """End all calls of a service that the other end does not serve any more."""
         numbers = [number for number, call in self._waiting.items() if call.service == service]
-        self._give_up(numbers, FailureReason.NO_SERVER, message)
+        self._give_up(numbers, reason, message)
 
     def close(self) -> None:
         """End all calls, because this end stops."""

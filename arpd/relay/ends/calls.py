@@ -35,6 +35,7 @@ _STEP_S, _LOOK_S = 0.1, 0.5
 _LAST_S = 0.1  # a client that hears that its server goes drops responses that it has not read
 _MOST_LAST_S = 1.0  # for responses to leave: an end is to stop within 2 s
 _NO_MORE = "the other end offers it no more"
+_SILENT = "the other end has been unreachable for too long"
 _GET_RESULT = "/_action/get_result"  # waits for the end of its goal
 _REFUSED = (UnknownTypeError, NameValidationException, RuntimeError, ValueError)
 
@@ -157,7 +158,9 @@ class Calls:
         new = accepted.keys() - self._ghosts.keys()
         leaving = [name for name, ghost in self._ghosts.items() if accepted.get(name) != ghost.offer]
         for name in leaving:
-            self._book.fail(name, f"{refused.get(name, _NO_MORE)}; the call may have run")
+            reason = FailureReason.UNREACHABLE if session is None else FailureReason.NO_SERVER
+            words = _SILENT if session is None else refused.get(name, _NO_MORE)
+            self._book.fail(name, reason, f"{words}; the call may have run")
             if name in self._leaving and self._ghosts[name].is_idle:  # its last responses have arrived
                 self._ghosts.pop(name).destroy()
         self._leaving = self._ghosts.keys() & leaving

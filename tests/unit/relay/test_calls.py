@@ -142,7 +142,7 @@ def test_calls_that_are_given_up_together_cost_few_bytes():
         for _ in range(300):
             link.call(request=REQUEST._replace(service=service))
     link.deliver()
-    link.caller.fail("/gone", "why")
+    link.caller.fail("/gone", FailureReason.NO_SERVER, "why")
     assert sum(len(data) for _, data in link.to_callee) < 300 * 20
     link.deliver()
     assert [link.callee.runs(call) for call in link.running] == [False] * 300 + [True] * 300

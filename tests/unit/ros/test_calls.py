@@ -225,6 +225,23 @@ def test_a_server_that_gives_way_to_one_of_this_side_takes_no_call(end):
     assert not end.did
 
 
+@pytest.mark.parametrize(
+    ("session", "status"), [(None, GoalStatus.STATUS_UNKNOWN), (SESSION, GoalStatus.STATUS_ABORTED)]
+)
+def test_a_goal_is_over_where_its_server_is_gone_and_not_where_the_link_is(end, session, status):
+    """Beyond a link that is down for long the robot may still drive, and its result must not say that it stopped."""
+    name, responses = "/drive/_action/get_result", []
+    offer = ServiceOffer(type_name="test_msgs/action/Fibonacci_GetResult", node="/n")
+    end._side.may_call = lambda _name: True
+    end._follow({name: offer}, SESSION, ())
+    end._ghosts[name].send = lambda _header, response: responses.append(response.status)
+    end._call(name, service_class(offer.type_name).Request(), "goal")
+    end._follow({name: offer}, None, ())
+    assert not responses
+    end._follow({}, session, ())
+    assert responses == [status]
+
+
 def test_the_responses_of_an_end_that_stops_leave_five_at_a_time(end):
     """A client of ROS has room for ten."""
     for number in range(20):
