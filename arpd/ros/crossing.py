@@ -90,12 +90,18 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     full = sorted(filter(is_full_name, view.types), key=lambda name: off_link(name) != name)
     names = {off_link(name): name for name in full if not is_internal(off_link(name))}
     topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
+
+    def readers(topic: str) -> Collection[Endpoint]:
+        found = view.readers(name := names[topic])
+        # Between two ends one process a host reads; where it was killed and runs again, the graph shows both for 20 s.
+        return found if name == topic or robot_host is None else {each.host: each for each in found}.values()
+
     hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
     crossings = {
         topic: crossing(
             # The daemon's own writer of /diagnostics is no traffic of the robot.
             writers=[writer for writer in view.writers(names[topic]) if writer.node != view.own.node],
-            readers=view.readers(names[topic]),
+            readers=readers(topic),
             robot_host=robot_host,
         )
         for topic in topics

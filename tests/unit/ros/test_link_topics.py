@@ -1,5 +1,6 @@
 """Which topics cross the link, and which may be measured, on a graph that a test makes."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -80,7 +81,8 @@ def test_without_hosts_nothing_is_measured_and_the_reason_is_told():
 def test_the_daemon_knows_a_topic_of_two_ends_by_its_name_on_the_robot():
     """Whatever a stranger reads in the link's domain by that name; and a name that only begins alike is none."""
     end = Endpoint(gid=RELAY, node="/arpd_relay")
-    topics = {on_link("/map"): ([end], [PLANNER]), "/map": ([], [LIDAR]), "/arpd/linked": ([end], [PLANNER])}
+    killed = replace(PLANNER, gid=PLANNER.gid[:4] + bytes([99]) + PLANNER.gid[5:])  # and still in the graph
+    topics = {on_link("/map"): ([end], [killed, PLANNER]), "/map": ([], [LIDAR]), "/arpd/linked": ([end], [PLANNER])}
     view = SimpleNamespace(
         own=Endpoint(gid=OWN, node="/arpd"),
         types=topics,
@@ -90,3 +92,4 @@ def test_the_daemon_knows_a_topic_of_two_ends_by_its_name_on_the_robot():
     (crossing,) = (crossings := read_graph(view, MIDDLEWARE).crossings).values()
     assert [*crossings] == ["/map"]
     assert (crossing.writers, crossing.direction) == ({"/arpd_relay"}, Direction.SENSING)
+    assert crossing.remote_readers == 1, "its samples cross once"
