@@ -10,14 +10,15 @@ if TYPE_CHECKING:
 
 LONGEST_NAME = 247  # RMW_TOPIC_MAX_NAME_LENGTH: DDS's 255 less room for the prefixes of rmw
 
-_ROS_TOPICS = frozenset({"/rosout", "/parameter_events"})
+#: Every node writes them.
+ROS_TOPICS = frozenset({"/rosout", "/parameter_events"})
 _PATTERN = re.compile(r"(?:/(?:\*\*|(?:[A-Za-z_]|\*(?!\*))(?:[A-Za-z0-9_]|\*(?!\*))*))+")
 _LEVEL_ENDS = r"(?=/|\Z)"
 
 
 def is_internal(topic: str) -> bool:
     """Return whether a topic belongs to ROS or arpd itself, and not to the robot."""
-    return topic in _ROS_TOPICS or topic.startswith("/arpd/")
+    return topic in ROS_TOPICS or topic.startswith("/arpd/")
 
 
 def is_hidden(name: str) -> bool:

@@ -88,7 +88,7 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     robot_host = view.own.host if rmw.tells_hosts else None
     # What a relay carries comes last, in the place of what others have in the link's domain under that name.
     full = sorted(filter(is_full_name, view.types), key=lambda name: off_link(name) != name)
-    names = {off_link(name): name for name in full if not is_internal(off_link(name))}
+    names = {off_link(name): name for name in full if off_link(name) != name or not is_internal(name)}
     topics = sorted(names, key=lambda topic: topic not in first)[:_MOST_TOPICS]
 
     def readers(topic: str) -> Collection[Endpoint]:

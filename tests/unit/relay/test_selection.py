@@ -68,9 +68,17 @@ SETTINGS = st.builds(
 
 
 @given(SETTINGS, st.sampled_from(OWN))
-def test_nothing_of_ros_or_arpd_crosses(settings, name):
-    """No pattern carries a topic of ROS or arpd itself."""
-    assert not any(answers(Side(settings, is_far=False), name))
+def test_no_pattern_carries_what_is_of_ros_or_arpd_itself(settings, name):
+    """A base computer has readers of /parameter_events whatever its nodes do."""
+    unnamed = {key: tuple({*getattr(settings, key)} - {name}) for key in ("to_base", "to_robot")}
+    assert not any(answers(Side(replace(settings, **unnamed), is_far=False), name))
+
+
+def test_topics_of_ros_itself_cross_where_they_are_named():
+    """Whoever wants the robot's log on the base computer names /rosout; it crosses in that direction alone."""
+    named = side(to_base=("/**", *OWN), deny=("/parameter_events",))
+    assert [name for name in OWN if named.may_leave(name)] == ["/rosout"]
+    assert not any(named.may_enter(name) or named.may_call(name) for name in OWN)
 
 
 @given(SETTINGS, NAME)

@@ -79,17 +79,22 @@ def test_without_hosts_nothing_is_measured_and_the_reason_is_told():
 
 
 def test_the_daemon_knows_a_topic_of_two_ends_by_its_name_on_the_robot():
-    """Whatever a stranger reads in the link's domain by that name; and a name that only begins alike is none."""
+    """Whatever a stranger reads in the link's domain by that name; and a name that only begins alike is none.
+
+    Logs that cross are known, too, and not what the link's own nodes log.
+    """
     end = Endpoint(gid=RELAY, node="/arpd_relay")
     killed = replace(PLANNER, gid=PLANNER.gid[:4] + bytes([99]) + PLANNER.gid[5:])  # and still in the graph
     topics = {on_link("/map"): ([end], [killed, PLANNER]), "/map": ([], [LIDAR]), "/arpd/linked": ([end], [PLANNER])}
+    topics |= {on_link("/rosout"): ([end], [PLANNER]), "/parameter_events": ([end], [])}
     view = SimpleNamespace(
         own=Endpoint(gid=OWN, node="/arpd"),
         types=topics,
         writers=lambda name: topics.get(name, ((), ()))[0],
         readers=lambda name: topics.get(name, ((), ()))[1],
     )
-    (crossing,) = (crossings := read_graph(view, MIDDLEWARE).crossings).values()
-    assert [*crossings] == ["/map"]
-    assert (crossing.writers, crossing.direction) == ({"/arpd_relay"}, Direction.SENSING)
-    assert crossing.remote_readers == 1, "its samples cross once"
+    crossings = read_graph(view, MIDDLEWARE).crossings
+    assert crossings.keys() == {"/map", "/rosout"}
+    for crossing in crossings.values():
+        assert (crossing.writers, crossing.direction) == ({"/arpd_relay"}, Direction.SENSING)
+        assert crossing.remote_readers == 1, "its samples cross once"
