@@ -130,7 +130,7 @@ def running_addresses() -> dict[str, frozenset[str]]:
 
 
 class InterfaceReader:
-    """Reads one interface repeatedly and logs each change of its state once.
+    """Reads one interface repeatedly.
 
     An interface that returns under its name continues the old totals. ``auto`` may mean another one later: until one
     was up; if it was no radio, when a radio comes, when it has been away for ten seconds, as a cable that a robot boots
@@ -145,12 +145,12 @@ class InterfaceReader:
     choose : returns the interface that ``auto`` means without a route, None = none yet
     is_radio : whether an interface is one
     addresses : returns the addresses of every interface
-    note : called with a logging level and a text at every change of state
     clock : monotonic clock (s)
 
     Attributes
     ----------
     name : of the interface; ``auto`` before there was one
+    state : when it was read last
     """
 
     def __init__(
@@ -162,13 +162,11 @@ class InterfaceReader:
         choose: Callable[[], str | None] = likeliest_interface,
         is_radio: Callable[[str], bool] = is_radio,
         addresses: Callable[[], Mapping[str, frozenset[str]]] = ipv4_addresses,
-        note: Callable[[int, str], None] = log.log,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = name
         self._read = read
         self._route, self._choose, self._is_radio = route, choose, is_radio
-        self._note = note
         self._clock = clock
         self._may_choose = self._is_auto = name == AUTO
         self._was_up = False
@@ -179,7 +177,7 @@ class InterfaceReader:
         self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
         self._raw: LinkCounters | None = None
         self._total: LinkCounters | None = None
-        self._state: InterfaceState | None = None
+        self.state = InterfaceState.GONE
 
     def read(self) -> LinkCounters | None:
         """Return counters, which never fall, and state; None while the interface is gone."""
@@ -201,7 +199,7 @@ class InterfaceReader:
         else:
             self._away_s = min(self._away_s, now_s)
         self._raw = raw
-        self._note_state(state_of(raw))
+        self.state = state_of(raw)
         return raw and self._total
 
     def _choose_again(self, now_s: float) -> None:
@@ -214,24 +212,6 @@ class InterfaceReader:
         if not self._was_up or is_lost or self._is_radio(chosen):
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name, self._raw, self._own = chosen, None, frozenset()
-            if not self._was_up:
-                self._state = None
-
-    def _note_state(self, state: InterfaceState) -> None:
-        before, self._state = self._state, state
-        if state is before or (before is None and state is InterfaceState.UP):
-            return
-        if self._total is not None:
-            level = logging.WARNING if state.fault else logging.INFO
-            self._note(level, f"the link interface {self.name} {state.fault or 'is up again'}")
-        elif self.name == AUTO:
-            text = (
-                "link.interface is auto, and no interface looks like the link yet; arpd uses the first that does. "
-                "Name one where several cables and no default route stay"
-            )
-            self._note(logging.WARNING, text)
-        else:
-            self._note(logging.WARNING, f"the link interface {self.name} is not there yet; arpd waits for it")
 
 
 def _continued(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:

@@ -22,7 +22,7 @@ from arpd.host.interface import InterfaceReader, hardware_address
 from arpd.host.journal import configure_logging
 from arpd.host.kernel import interface_of_link, link_interface
 from arpd.host.notify import Notifier
-from arpd.model.settings import RelaySettings
+from arpd.model.settings import AUTO, RelaySettings
 from arpd.ros.cdr import octets, wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.probe_messages import decode_probe, encode_report
@@ -147,9 +147,14 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     own = own_address(config_path, link, is_far=True)
     addresses = Addresses(partial(link_interface, interface, relay.robot, relay.base), own=own)
     send_without_waiting()
+
+    def task() -> str:
+        why = "no interface looks like the link yet" if reader.name == AUTO else f"which {reader.state.fault}"
+        return f"reporting what arrives on {reader.name}{f' ({why})' if reader.state.fault else ''} as {name}"
+
     with ros_node("arpd_peer", link, address=own()) as node, serving(node, reader=reader, name=name) as (peer, thread):
-        log.info("reporting what arrives on %s as %s", reader.name, name)
-        status = ProbeStatus(lambda: f"reporting what arrives on {reader.name} as {name}", tell=notifier.status)
+        log.info("%s", task())
+        status = ProbeStatus(task, tell=notifier.status)
         serve_until(
             stopping,
             notifier=notifier,

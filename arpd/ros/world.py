@@ -92,8 +92,7 @@ class RosControl:
         self._rmw = current_rmw()
         if self._rmw.refusal:
             log.warning("%s", self._rmw.refusal)
-        # At debug level, because the decision log says it too.
-        self._reader = InterfaceReader(interface, route=route, note=lambda _level, words: log.debug("%s", words))
+        self._reader = InterfaceReader(interface, route=route)
         self._memory = read_memory()
         self._radio_rate: float | None = None
         self._radio_fault = ""

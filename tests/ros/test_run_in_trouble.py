@@ -21,6 +21,12 @@ def test_without_a_port_and_an_interface_it_runs_and_stops_cleanly(arpd, tmp_pat
     assert "Traceback" not in log()
 
 
+def test_a_peer_tells_that_its_interface_is_missing(arpd, tmp_path, eventually):
+    """Its line for systemd and the log say so; it waits for the interface."""
+    arpd("peer", "--interface", "wlan9")
+    eventually("it says so", lambda: "arrives on wlan9 (which is gone) as" in (tmp_path / "log").read_text())
+
+
 def test_an_end_whose_name_nobody_knows_is_named(arpd, tmp_path, eventually):
     """It is no fault of ROS, and the message says which key to look at."""
     (tmp_path / "arpd.yaml").write_text(json.dumps({"relay": {"link_domain": 77, "base": "no-such-host.invalid"}}))
