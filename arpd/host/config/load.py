@@ -78,6 +78,7 @@ def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
 
 def _reworded(details: ErrorDetails, source: YamlSource, sections: Sections) -> Fault:
     location: Location = details["loc"]
+    shown = printable(str(details["input"]))
     match details["type"]:
         case "unexpected_keyword_argument":
             return Fault(source.keys[location], dotted(location), f"unknown key; {nearest(location, sections)}")
@@ -94,7 +95,8 @@ def _reworded(details: ErrorDetails, source: YamlSource, sections: Sections) -> 
         case "value_error":
             text = str(details["ctx"]["error"])
             location = location[:-1] if location[-1] == "[key]" else location  # pydantic's mark of a name in a mapping
+        case "string_pattern_mismatch":
+            text = f"'{shown}' is empty, too long, or has a character that cannot be in it; correct it"
         case _:
-            shown = printable(str(details["input"]))
             text = f"{shown} does not fit; {details['msg'].replace('Input', 'it').replace('String', 'it')}"
     return source.fault(location, text)

@@ -179,7 +179,8 @@ ONE_FAULT = [
     ("on_stop: explode", "1:10: on_stop", "explode does not fit; it should be 'restore' or 'keep'"),
     ('on_stop: "\\uD800"', "1:10: on_stop", "\\ud800 does not fit; it should be a valid string"),
     ("link:\n  interface: wlan9\n", "2:14: link.interface", "write auto or one of eth0, lo, wlan0"),
-    ("link: {interface: ../lo}", "1:19: link.interface", "../lo does not fit"),
+    ("link: {interface: ../lo}", "1:19: link.interface", "'../lo' is empty, too long, or has a character that cannot"),
+    ("http: {host: ''}", "1:14: http.host", "'' is empty"),
     # keys
     ("link:\n  headrom: 0.9\n", "2:3: link.headrom", "did you mean headroom?"),
     ("port: 80\n", "1:1: port", "did you mean http.port?"),
