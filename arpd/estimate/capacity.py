@@ -34,7 +34,7 @@ _IDLED = 0.05  # more where the link may have idled a little
 _OUTLIER = 0.01  # likelihood of any reading; two of them in a row are believed
 _UNDISTURBED = 0.7  # of the trains; the others had samples between their packets
 _DISTURBED = 0.4  # scale by which those read low, of the logarithm
-_NEVER_IDLE, _ALWAYS_DELAYED = 0.1, 0.35  # least likelihoods: pings meet bursts, and jitter, at any load
+_NEVER_IDLE, _ALWAYS_DELAYED = 0.3, 0.35  # least likelihoods: pings meet bursts, and jitter, at any load
 _LEAST_FREE = 0.1  # part of the time that is left for bytes, at any overhead of packets
 _STATED, _CAUTIOUS = 0.45, 0.3  # quantiles
 
