@@ -103,7 +103,6 @@ class LocalQueue:
     def __init__(self) -> None:
         self.backlog = StandingQueue()
         self._sent: deque[tuple[float, int]] = deque()  # time s, sent bytes
-        self._waits_here = False
         self.handed_bytes: float | None = None
         self.backlog_s = 0.0
 
@@ -119,7 +118,7 @@ class LocalQueue:
         while now_s - self._sent[0][0] > _SENT_MEMORY_S:
             self._sent.popleft()
         backlog = counters.backlog_bytes or 0
-        self._waits_here, self.handed_bytes = backlog > 0, counters.tx_bytes + backlog
+        self.handed_bytes = counters.tx_bytes + backlog
         self.backlog.note(Look(now_s, backlog, left_bytes))
         self.backlog_s = self.backlog.delay_s(now_s, burst_bytes=burst_bytes, capacity=capacity)
 
@@ -141,11 +140,11 @@ class LocalQueue:
 
         Parameters
         ----------
-        queue_s : queue of the link; before this interface it holds what has not left (s)
+        queue_s : queue of the link (s)
         """
         if self.handed_bytes is None:
             return math.inf
-        span_s = DELIVERY_WINDOW_S + (0.0 if self._waits_here else min(_SENT_MEMORY_S - 1.0, queue_s))
+        span_s = DELIVERY_WINDOW_S + min(_SENT_MEMORY_S - 1.0, queue_s)
         return self.sent_bytes_per_second(span_s) * span_s / DELIVERY_WINDOW_S
 
 
