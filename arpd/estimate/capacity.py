@@ -68,18 +68,16 @@ class CapacityBelief:
         p = (1.0 - jumped) * self._p + jumped * ((1.0 - _RETURNS) * anywhere + _RETURNS * self._usual)
         self._p = p / p.sum()  # some jumped beyond the grid
 
-    def delivered_busy(self, rate: float, *, weight: float = 1.0, overhead: float = 0.0) -> None:
+    def delivered_busy(self, rate: float, *, overhead: float = 0.0) -> None:
         """Note what arrived while the link was never idle: the capacity, or a little less (bytes/s).
 
         Parameters
         ----------
-        weight : of this evidence, 0..1
         overhead : part of the time that went to the overhead of packets, 0..1; the error grows with it
         """
         free = max(_LEAST_FREE, 1.0 - overhead)
         z = free * (_LOGS - math.log(rate / free))
-        likelihood = _OUTLIER + np.exp(-0.5 * (z / np.where(z < 0, _SPREAD, _SPREAD + _IDLED)) ** 2)
-        self._weigh(likelihood**weight)
+        self._weigh(_OUTLIER + np.exp(-0.5 * (z / np.where(z < 0, _SPREAD, _SPREAD + _IDLED)) ** 2))
 
     def carried(self, rate: float, *, overhead: float = 0.0) -> None:
         """Note what arrived: the capacity is at least that (bytes/s)."""

@@ -63,7 +63,6 @@ class Estimator:
         self._last_s = self._reported_s = -math.inf
         self._interval_s = 0.0  # of the last report
         self._is_silent = True  # for longer than one lost report explains
-        self._look_weight = 1.0  # of what left this host since the last update
         self._peers = PeerGauges()
         self._loss = ProbeLoss()
         self._copies = 1
@@ -100,8 +99,6 @@ class Estimator:
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return the estimate."""
         now_s = observation.now_s
-        # The rate of a short time counts less: how often this host looks is no evidence.
-        self._look_weight = min(1.0, (now_s - self._last_s) / parameters.LOOK_S)
         self._started_at_s, self._last_s = min(self._started_at_s, now_s), now_s
         self._radio = observation.radio_bytes_per_second
         capacity, local = self._capacity, self._local
@@ -244,12 +241,12 @@ class Estimator:
         delivered = min(self._peers.delivery(now_s - parameters.RECENT_S)[0] if stays else received, most)
         has_arrived = received <= parameters.OTHERS * most or self._queue_delay_s < parameters.IDLE_S
         # What leaves this host arrives at the peer: the same bytes count once.
-        busy, weight = self._local.backlog.busy_rate, self._look_weight
+        busy = self._local.backlog.busy_rate
         if busy is None and has_reports:
-            busy, weight = self._peers.busy_rate or (delivered if stays and has_arrived else None), 1.0
+            busy = self._peers.busy_rate or (delivered if stays and has_arrived else None)
         if busy:
             believed.wait(now_s)
-            believed.delivered_busy(busy, weight=weight, overhead=self._peers.overhead_of(busy, self._overhead_s))
+            believed.delivered_busy(busy, overhead=self._peers.overhead_of(busy, self._overhead_s))
             return f"{format_rate(busy)} carried, never idle"
         if not has_reports or delivered <= 0:
             return ""
@@ -301,7 +298,7 @@ class Estimator:
         if busy is not None or is_idle:
             believed.wait(now_s)
             if busy is not None:
-                believed.delivered_busy(busy, weight=self._look_weight)
+                believed.delivered_busy(busy)
             else:
                 believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
             self._stated.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")

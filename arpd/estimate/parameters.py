@@ -10,7 +10,6 @@ BUSY_S, BUSY_AFTER_S = 0.012, 0.5  # by the pings, the link is never idle while 
 IDLE_S = 0.003  # a ping that is delayed by less met no queue
 BURST_BYTES, BURST_SHARE = 15_000.0, 0.5  # backlog that is no queue: so many bytes, or this part of the largest message
 DELIVERY_WINDOW_S, DELAY_WINDOW_S = 0.300, 10.0  # span of the mean delivery, and of the least delay
-LOOK_S = 0.03  # time between looks at a busy link; what left in less counts less
 
 RESTING, RESTING_S = 0.02, 2.0  # part of the capacity below which the link rests, after so long
 SHOWS_S = 0.8  # time in which a train may show in the reports of a link that rests
