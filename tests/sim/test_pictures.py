@@ -32,7 +32,7 @@ def test_a_picture_larger_than_the_queue_arrives_and_an_imu_beside_it(pushes_bac
 
 
 @pytest.mark.parametrize("pushes_back", [True, False], ids=["sender", "middle"])
-@pytest.mark.parametrize("rates", ["0:20mbit", "0:5mbit", "0:20mbit,15:5mbit"])
+@pytest.mark.parametrize("rates", ["0:5mbit", "0:20mbit,15:5mbit"])
 def test_nothing_waits_behind_a_picture_that_crosses_two_ends(rates, pushes_back):
     """Pictures fill the link; an IMU and commands lose nothing, and wait 20 ms more than alone."""
     model = LinkModel(pushes_back=pushes_back)
