@@ -96,26 +96,6 @@ def name(number):
     return number.to_bytes(4, "big")
 
 
-def test_what_a_swap_held_leaves_at_twice_the_rate_it_came_at():
-    """Held samples leave without a burst, and newer ones queue behind them."""
-    world = World()
-    departures = []
-    number = 0
-    while number < 1000:
-        if number == 100:
-            world.retune(depth=11)
-        world.publish(name(number))
-        number += 1
-        for _ in range(4):
-            world.now_s += STEP_S / 2
-            before = len(world.log)
-            world.serve()
-            departures.append(len(world.log) - before)
-    assert world.log == [name(number) for number in range(len(world.log))]
-    assert max(departures) <= 3
-    assert world.flow.state().queued <= 30
-
-
 @examples(100)
 @given(
     st.lists(

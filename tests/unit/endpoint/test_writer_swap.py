@@ -117,23 +117,6 @@ def test_what_was_held_leaves_at_twice_the_rate_at_which_it_came():
     assert left_s[-1] - left_s[0] == pytest.approx((held_s[-1] - held_s[0]) / 2.0, abs=0.02)
 
 
-def test_patience_is_counted_by_what_the_readers_of_this_swap_can_prove():
-    """On a clean link it begins after the longer settle time if a reader has come that acknowledges nothing."""
-    world, swap = make()
-    swap.loss_ratio = 0.0
-    swap.request(qos(2))
-    run(swap, 0.0, 1.0, publishing=True)
-    assert world.results == [SwapResult.OK]
-    world.has_reliable_readers = False
-    swap.request(qos(3))
-    swap.step(1.0)
-    acknowledge(world, is_acknowledging=False)
-    run(swap, 1.0, TIMING.clean_unproven_s + TIMING.patience_s - 0.02)
-    assert swap.current is world.writers[1]
-    run(swap, 1.0 + TIMING.clean_unproven_s + TIMING.patience_s, 0.02)
-    assert swap.current is world.writers[2]
-
-
 def proving(world, swap, wanted=None):
     """Bring a swap to PROVING; return the time."""
     now_s = settled(world, swap, wanted)
@@ -172,16 +155,6 @@ def test_a_new_writer_that_proves_nothing_is_given_up(depth, doubted_after_s):
     assert world.results == [SwapResult.UNMATCHED, SwapResult.UNDELIVERED]
     assert world.results_of == [qos(depth)] * 2
     assert world.live == [swap.current] == [world.writers[0]]
-
-
-def test_a_silent_topic_is_swapped_without_proof():
-    """Without samples nothing can be lost, so the swap ends after the settle time."""
-    world, swap = make()
-    now_s = proving(world, swap)
-    now_s = run(swap, now_s, TIMING.settle_s - 0.02)
-    assert not world.results
-    run(swap, now_s, 0.03)
-    assert world.results == [SwapResult.OK]
 
 
 def test_requests_that_never_cease_do_not_starve_each_other():

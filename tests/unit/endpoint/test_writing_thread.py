@@ -267,25 +267,6 @@ def test_a_lane_that_fails_at_its_turn_costs_no_other(monkeypatch, faulty):
     thread.stop()
 
 
-def test_a_context_that_shuts_down_can_stop_it():
-    """A context holds its lock while it calls `stop`, and takes the same one to tell whether it is alive."""
-    context, asked = threading.Lock(), threading.Event()
-
-    def is_alive():
-        asked.set()
-        with context:
-            return True
-
-    thread = make(is_alive=is_alive)
-    with context:
-        thread.start()
-        assert asked.wait(LONG_S)
-        stopping = threading.Thread(target=thread.stop, daemon=True)
-        stopping.start()
-        stopping.join(LONG_S)
-        assert not stopping.is_alive()
-
-
 def test_a_stop_between_two_turns_is_not_missed(monkeypatch):
     """A thread that is stopped before it waits does not wait: the shutdown of a context would take a second longer."""
     monkeypatch.setattr(writing_thread, "_IDLE_S", 100.0 * LONG_S)

@@ -61,32 +61,21 @@ def test_without_terms_the_rate_is_the_ceiling(change, share):
     assert replace(PRICE, share_per_weight=share).rate_hz(replace(ROW, **change)) == ROW.rate_hz
 
 
-@given(
-    st.floats(0.1, 10.0),
-    st.tuples(*[st.one_of(st.just(1.0), st.floats(0.98, 1.02)) for _ in range(3)]),
-    st.booleans(),
-    st.integers(0, 20),
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"share_per_weight": math.inf},
+        {"yielding_weight": 1.0},
+        {"kept_minimum": 0.0},
+        {"capacity_bytes_per_second": 2e6},
+        {"packet_overhead_s": 2e-4},
+    ],
 )
-def test_a_price_that_is_near_gives_nearly_the_same_rate(capacity, noise, follows, packets):
-    """Prices within 1 % of each other give rates within 2.1 %, also where level and capacity move apart."""
-    before, (level, overhead, kept) = replace(PRICE, yielding_weight=2.0, kept_minimum=0.5), noise
-    after = replace(
-        before,
-        capacity_bytes_per_second=before.capacity_bytes_per_second * capacity,
-        share_per_weight=before.share_per_weight * level / capacity,
-        packet_overhead_s=before.packet_overhead_s * overhead / (capacity if follows else 1.0),
-        kept_minimum=before.kept_minimum * kept,
-    )
-    row = replace(ROW, packets=packets)
-    if after.is_near(before, tolerance=0.01):
-        assert after.rate_hz(row) == pytest.approx(before.rate_hz(row), rel=0.021)
-    if follows and noise == (1.0, 1.0, 1.0):
-        assert after.is_near(before, tolerance=0.01)
-
-
-@pytest.mark.parametrize("change", [{"share_per_weight": math.inf}, {"yielding_weight": 1.0}, {"kept_minimum": 0.0}])
 def test_what_changes_rates_is_not_near(change):
-    """A price that frees everybody, or makes floors give way, is news."""
+    """A price that frees everybody, or makes floors give way, is news; one that gives the same rates is none."""
+    half = replace(PRICE, share_per_weight=0.005, capacity_bytes_per_second=2e6, packet_overhead_s=5e-5)
+    assert half.is_near(PRICE, tolerance=0.01)
+    assert half.rate_hz(ROW) == pytest.approx(PRICE.rate_hz(ROW))
     assert not replace(PRICE, **change).is_near(PRICE, tolerance=0.01)
     assert replace(PRICE, **change).is_near(replace(PRICE, **change, loss_ratio=0.1), tolerance=0.01)
 

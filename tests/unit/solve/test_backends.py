@@ -73,13 +73,6 @@ def test_nobody_is_asked_where_all_or_nothing_fits(monkeypatch, budget):
     assert (backend, solver.outcomes) == (None, {})
 
 
-def test_osqp_writes_nothing(capfd):
-    """OSQP writes nothing to stdout, which belongs to ``--json``."""
-    osqp_.level(WEIGHTS, LOW, HIGH, BUDGET)
-    osqp_.level(np.array([1.0]), np.array([0.0]), np.array([1.0]), 0.5)
-    assert capfd.readouterr().out == ""
-
-
 def test_while_its_library_loads_the_closed_form_answers_and_nothing_has_failed():
     """A daemon loads a library in a thread, and plans meanwhile."""
     modules = [None, osqp_]

@@ -3,14 +3,12 @@
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from arpd.model.plan import rate_of
 from arpd.model.settings import Backend
 from arpd.solve.backends import Solver
 from arpd.solve.eq4 import Eq4Problem, period_ns, whole
-from tests.examples import examples
 
 TABLE_2 = [
     (100, 7, 365, Fraction(22, 3), Fraction(1097, 3)),
@@ -48,26 +46,6 @@ def test_too_many_topics_are_infeasible():
     assert Eq4Problem(max_rate_hz=20, topics=12).refusal().startswith("(2) leaves ")
     assert Eq4Problem(max_rate_hz=100, topics=12, min_depth=200).refusal().startswith("(3) leaves ")
     assert Eq4Problem(max_rate_hz=24, topics=12, min_depth=1).refusal() == ""
-
-
-@examples(150)
-@given(problem=problems)
-def test_applied_values_keep_the_link_and_depth_constraints(problem):
-    """The whole period and depth keep (2) and (3) to a millionth, and every bound, unless the depth is Dmin."""
-    if problem.refusal():
-        return
-    rate_hz, limit = problem.vertex()
-    period, depth = problem.applied(rate_hz)
-    assert problem.max_rate_hz / problem.topics - rate_of(period) >= problem.min_rate_hz * (1 - 1e-9)
-    assert problem.min_depth <= depth <= max(problem.min_depth, min(problem.max_depth, limit * (1 + 1e-6)))
-
-
-@given(st.floats(1e-6, 1e6))
-def test_a_period_is_the_shortest_whole_one_that_is_not_faster(rate_hz):
-    """One nanosecond less would be faster than the rate."""
-    period = period_ns(rate_hz)
-    assert rate_of(period) <= rate_hz * (1 + 1e-11)
-    assert period == 1 or 1e9 / (period - 1) > rate_hz * (1 - 1e-11)
 
 
 @pytest.mark.parametrize(

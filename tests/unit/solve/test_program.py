@@ -164,18 +164,6 @@ def test_no_capacity_pauses_everything(backend):
     assert (allocation.status, allocation.binding) == (AllocationStatus.DEGRADED, Binding.LINK)
 
 
-SHARES = st.integers(0, 1000).map(lambda thousandths: thousandths / 1000)
-
-
-@examples(60)
-@given(topics=robots(), capacity=CAPACITIES, memory=MEMORIES, shares=st.tuples(SHARES, SHARES))
-def test_histories_do_not_depend_on_the_budget(topics, capacity, memory, shares):
-    """Any share of the link gives the depths of the ceiling."""
-    solver = program()
-    first, second = (solved(solver, capacity, topics, memory, share=share).topics for share in shares)
-    assert [row.depth_applied for row in first] == [row.depth_applied for row in second]
-
-
 def test_the_answer_of_a_solver_is_used(monkeypatch):
     """Rate, DEADLINE and price are those of the back end's ν, to its last digit."""
     monkeypatch.setattr(osqp_, "level", lambda *_: 0.85 * (1 - 5e-7))
