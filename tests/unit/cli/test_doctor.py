@@ -19,7 +19,6 @@ SMALL = "link: {interface: auto}\n"
 ACTIVE = ServiceState(is_installed=True, is_enabled=True, active="active")
 DISABLED = ServiceState(is_installed=True, is_enabled=False, active="inactive")
 FAILED = ServiceState(is_installed=True, is_enabled=True, active="failed")
-ABSENT = ServiceState(is_installed=False, is_enabled=False, active="inactive")
 
 
 @pytest.fixture(autouse=True)
@@ -107,27 +106,6 @@ def test_what_the_daemon_finds_wrong_comes_first(doctor):
     }
     code, out, _ = doctor(offset_s=0.0, faults=[silent])
     assert (code, out.splitlines()[0]) == (1, "wrong: daemon: The peer is silent.")
-
-
-@pytest.mark.parametrize(
-    ("units", "end"),
-    [
-        ({"arpd-peer": ACTIVE, "arpd-relay-far": FAILED, "arpd": DISABLED}, "base"),
-        ({"arpd": ACTIVE, "arpd-peer": ACTIVE}, "robot"),
-        ({"arpd": ABSENT, "arpd-peer": ACTIVE}, "base"),
-        (
-            {"arpd": DISABLED, "arpd-peer": DISABLED, "arpd-peer@robot1": ACTIVE, "arpd-relay-far@robot2": FAILED},
-            "base",
-        ),
-        ({}, "robot"),
-    ],
-)
-def test_the_units_in_use_tell_the_end(doctor, computer, units, end):
-    """A computer that runs only the peer is the base computer; its configuration is then checked as the far end's."""
-    computer(here, service_states=lambda *_: units)
-    _, out, _ = doctor("--json", text="link: {interface: of_the_robot0}\n")
-    assert json.loads(out)["end"] == end
-    assert healths(out)["configuration"] == ("fine" if end == "base" else "wrong")
 
 
 def test_the_other_ends_address_is_not_this_computers(run, config, monkeypatch):

@@ -55,16 +55,6 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
     assert partner.look(40.0) is ONE
 
 
-def test_an_end_that_serves_another_robot_is_not_followed():
-    """Of two robots in one link domain, or two base computers, the second one follows only once the first has gone."""
-    partner, busy = Partner(own=OWN), replace(ONE, follows="010f0002" + 16 * "0")
-    partner.tell(busy, 0.0)
-    assert in_force(partner, ONE, from_s=0.0, to_s=20.0) is None
-    assert (partner.is_reachable(20.0), partner.elsewhere(20.0)) == (False, ["one"])
-    partner.tell(free := replace(ONE, follows=OWN), 20.0)
-    assert (partner.look(20.0), partner.elsewhere(20.0)) == (free, [])
-
-
 def test_a_second_end_on_a_host_follows_nobody_while_the_first_one_lives():
     """Else each sample would arrive there twice; an end that restarts follows at once, as its predecessor did."""
     partner = Partner(own=OWN)

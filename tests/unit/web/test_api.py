@@ -1,9 +1,8 @@
-"""The API's documents against their schemas, their readers, and the keys of earlier versions."""
+"""The API's documents against their schemas, and the keys of earlier versions."""
 
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +11,7 @@ from jsonschema import Draft202012Validator
 
 from arpd.model.allocation import AllocationStatus, Uniform
 from arpd.report.history import History as Past
-from arpd.web.api import History, Status, history_json
-from arpd.web.json_text import read
+from arpd.web.api import history_json
 from tests.golden.sample import EVENT, changed, status_of
 from tests.unit.web_world import running
 
@@ -70,18 +68,6 @@ def test_documents_fit_their_schema_and_hold_nothing_else(documents, name):
     validator = Draft202012Validator(strict(schema))
     for extent in documents.values():
         assert not [f"{each.json_path}: {each.message}" for each in validator.iter_errors(extent[name])]
-
-
-def test_a_document_read_is_what_was_written(documents, sample_snapshot):
-    """`arpd status` gets the daemon's own values back, infinite ones too."""
-    status, empty = (read(Status, documents[extent]["status"]) for extent in ("full", "empty"))
-    assert (status.link, status.price) == (sample_snapshot.link, sample_snapshot.allocation.price)
-    assert (status.relay, status.events) == (sample_snapshot.observation.relay, (EVENT,))
-    confirmed = {topic.topic: topic.confirmed for topic in status.topics}
-    for publisher in sample_snapshot.observation.publishers:
-        assert replace(confirmed[publisher.topic], announced_at_s=publisher.announced_at_s) == publisher
-    assert (empty.link.age_s, empty.link.queue_delay_s) == (math.inf, math.inf)
-    assert read(History, documents["full"]["history"]).link["queue_delay_s"] == (0.0125,)
 
 
 def test_keys_of_v1_are_only_added(documents):

@@ -304,25 +304,6 @@ def test_deep_nesting_is_one_fault(faults):
     assert "yaml: is nested too deeply" in fault
 
 
-@pytest.mark.parametrize(
-    ("path", "wrong"),
-    [
-        ("missing.yaml", "No such file"),
-        (".", "Is a directory"),
-        ("arpd.yaml/x", "cannot be read"),
-        ("a\0b", "cannot be read"),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_one_line(tmp_path, path, wrong):
-    """Any bad path is one fault instead of a traceback."""
-    (tmp_path / "arpd.yaml").write_text("{}")
-    with pytest.raises(ConfigError) as refused:
-        load_settings(tmp_path / path, interfaces=None)
-    assert len(refused.value.faults) == 1
-    assert wrong in refused.value.faults[0]
-    assert "\n" not in refused.value.faults[0]
-
-
 def test_a_fifo_is_read_as_a_file_and_holds_nobody_up(tmp_path):
     """A shell's `<(command)` is read to its end; without a writer the daemon would never reload again."""
     fifo = tmp_path / "arpd.yaml"
