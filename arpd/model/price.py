@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from arpd.model.plan import TopicPlan, rate_of
 
 _SHARE_STEP = 0.02
+_GROWTH = 0.05  # of the link time, for a topic that grows until its next plan: a joystick, or a burst of log messages
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,11 +53,20 @@ class Price:
 
     def rate_hz(self, plan: TopicPlan) -> float:
         """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
-        if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
+        return self._clipped_hz(plan, plan.rate_hz)
+
+    def growing_hz(self, plan: TopicPlan) -> float:
+        """Return R for a source that may be faster now than when it was planned: what costs little has another ceiling."""
+        if plan.wire_bytes <= 0.0:
             return plan.rate_hz
+        return self._clipped_hz(plan, min(plan.max_rate_hz, max(plan.rate_hz, _GROWTH / self.cost_s(plan))))
+
+    def _clipped_hz(self, plan: TopicPlan, most_hz: float) -> float:
+        if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
+            return most_hz
         cost_s = self.cost_s(plan)
         level_hz = self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf
-        return min(plan.rate_hz, max(self.floor_hz(plan), level_hz))
+        return min(most_hz, max(self.floor_hz(plan), level_hz))
 
     def cost_s(self, plan: TopicPlan) -> float:
         """Return a, the link time of one sample (s)."""

@@ -177,7 +177,7 @@ def test_the_rate_follows_the_price_at_once_and_no_window_sees_more(steps, overf
     Where no price holds it back, what may not be lost catches up at twice its ceiling.
     """
     world = World(overflow=overflow)
-    world.retune(rate_hz=80.0, min_rate_hz=5.0, **TERMS)
+    world.retune(rate_hz=80.0, min_rate_hz=5.0, max_rate_hz=80.0, **TERMS)
     allowed = 0.0
     departures: list[float] = []
     for wanted_hz, seconds in steps:

@@ -62,6 +62,20 @@ class Participant:
         return [at_s - float(sample[:20]) for at_s, sample in self.left[name]]
 
 
+@pytest.mark.parametrize("level", [math.inf, 0.5])
+def test_a_small_topic_that_grows_after_its_plan_loses_nothing(level):
+    """A joystick goes from 5 to 25 Hz, and eight log messages come at once; a picture keeps the ceiling of its plan."""
+    world = Participant(Price(share_per_weight=level, capacity_bytes_per_second=CAPACITY))
+    for name, size in (("joystick", SMALL), ("log", SMALL), ("image", LARGE)):
+        world.topic(name, plan(6.25, size))
+    for _ in range(8):
+        world.offer("log", SMALL)
+    world.play({"joystick": (25.0, SMALL), "image": (20.0, LARGE)}, 4.0)
+    assert len(world.left["joystick"]) == 100
+    assert len(world.left["log"]) == 8
+    assert len(world.left["image"]) <= 27
+
+
 def test_cameras_that_coincide_leave_one_by_one_and_fresh():
     """Samples of three cameras leave as far apart as the link needs, each the newest of its source."""
     robot = Participant()

@@ -197,10 +197,11 @@ def test_the_share_at_the_price_is_used_and_no_more(busy, share, price):
     assert 0.98 * share < link.run(5.0).total() / 5.0 < 1.16 * share
 
 
-def test_what_is_left_serves_small_topics_beyond_their_rate():
-    """A rate at the price withholds nothing that the link carries."""
+@pytest.mark.parametrize("planned_hz", [math.inf, 5.0])
+def test_what_is_left_serves_small_topics_beyond_their_rate(planned_hz):
+    """Neither a rate at the price nor a source slower at the plan withholds what the link carries."""
     link = Link()
-    link.lane("tf", replace(ROW, wire_bytes=SMALL, packets=1), price_of(0.003, 0.5))
+    link.lane("tf", replace(ROW, rate_hz=planned_hz, wire_bytes=SMALL, packets=1), price_of(0.003, 0.5))
     link.publish("tf", 100.0, SMALL)
     link.run(2.0)
     assert len(link.arrived["tf"]) >= 195
@@ -211,7 +212,7 @@ def test_what_is_left_serves_small_topics_beyond_their_rate():
 def test_max_rate_is_a_cap_on_a_free_link_too(price, size):
     """A topic with `max_rate_hz` does not exceed it where nothing else wants the link."""
     link = Link()
-    link.lane("topic", replace(ROW, rate_hz=5.0, wire_bytes=size), price)
+    link.lane("topic", replace(ROW, rate_hz=5.0, max_rate_hz=5.0, wire_bytes=size), price)
     link.publish("topic", 20.0, size)
     link.run(10.0)
     assert len(link.arrived["topic"]) == pytest.approx(51, abs=2)
