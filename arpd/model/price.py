@@ -53,20 +53,20 @@ class Price:
 
     def rate_hz(self, plan: TopicPlan) -> float:
         """Return R = clip(ν·w/a, ℓ, u) for one publisher; ``plan.rate_hz`` where no price applies (Hz)."""
-        return self._clipped_hz(plan, plan.rate_hz)
+        return min(plan.rate_hz, self._level_hz(plan))
 
     def growing_hz(self, plan: TopicPlan) -> float:
-        """Return R for a source that may be faster now than when it was planned: what costs little has another ceiling."""
-        if plan.wire_bytes <= 0.0:
-            return plan.rate_hz
-        return self._clipped_hz(plan, min(plan.max_rate_hz, max(plan.rate_hz, _GROWTH / self.cost_s(plan))))
-
-    def _clipped_hz(self, plan: TopicPlan, most_hz: float) -> float:
+        """Return R for a source that may be faster than when it was planned; what costs little has a higher ceiling."""
         if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
-            return most_hz
+            return plan.rate_hz
+        ceiling_hz = min(plan.max_rate_hz, max(plan.rate_hz, _GROWTH / self.cost_s(plan)))
+        return min(ceiling_hz, self._level_hz(plan))
+
+    def _level_hz(self, plan: TopicPlan) -> float:
+        if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
+            return math.inf
         cost_s = self.cost_s(plan)
-        level_hz = self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf
-        return min(most_hz, max(self.floor_hz(plan), level_hz))
+        return max(self.floor_hz(plan), self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf)
 
     def cost_s(self, plan: TopicPlan) -> float:
         """Return a, the link time of one sample (s)."""

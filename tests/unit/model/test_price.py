@@ -57,8 +57,9 @@ def test_the_price_gives_everybody_the_programs_rate(topics, capacity, share, ov
 @pytest.mark.parametrize("change", [{"weight": 0.0}, {"wire_bytes": 0.0}])
 @pytest.mark.parametrize("share", [0.0, 0.1, math.inf])
 def test_without_terms_the_rate_is_the_ceiling(change, share):
-    """A row without weight or size has the rate that it says: no price applies."""
-    assert replace(PRICE, share_per_weight=share).rate_hz(replace(ROW, **change)) == ROW.rate_hz
+    """A row without weight or size has the rate that it says, also where the source grows: no price applies."""
+    price, row = replace(PRICE, share_per_weight=share), replace(ROW, **change)
+    assert price.rate_hz(row) == price.growing_hz(row) == ROW.rate_hz
 
 
 @pytest.mark.parametrize(
