@@ -44,7 +44,7 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     relay = ends.side("link").node("planner")
     told = Announced(relay)
     eventually("it tells its depth", lambda: [each.depth for each in told.states] == [DEFAULT_RELAY_DEPTH])
-    row = TopicPlan(rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
+    row = TopicPlan(rate_hz=2.0, max_rate_hz=2.0, min_rate_hz=0.0, deadline_ns=0, depth=10)
     Plans(relay)(1, {"/stereo": row})
     first = stamps[topics[0]]
     # Two sets a second are fewer than the camera takes on any machine.

@@ -119,6 +119,18 @@ def test_a_dip_of_the_rate_costs_no_small_sample():
     assert [number for _, number in leave_all(lane)] == [148, 149]  # of which its rate has the credit
 
 
+def test_a_burst_of_small_samples_costs_none_where_no_rate_is_set():
+    """All of what is published at once leaves; where more keeps coming than leaves, ten wait."""
+    lane = make()
+    for burst_s in (0.0, 2.0):
+        for number in range(60):
+            lane.offer(b"%4d" % number, burst_s)
+        assert [number for _, number in leave_all(lane)] == [*range(60)]
+    for number in range(100):
+        lane.offer(b"%4d" % number, 20.0 + 0.01 * number)
+    assert [number for _, number in leave_all(lane)] == [*range(90, 100)]
+
+
 @pytest.mark.parametrize(("most_hz", "within_s"), [(math.inf, 3.5), (30.0, 11.0)])
 def test_an_ordered_topic_catches_up_after_an_outage(most_hz, within_s):
     """What 5 s of an outage held up leaves faster than it comes, within the configured rate and without a burst."""
