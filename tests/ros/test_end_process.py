@@ -60,7 +60,7 @@ def test_ends_that_start_at_once_on_one_host_do_not_take_each_other_for_themselv
 
 
 def test_large_samples_that_have_crossed_leave_no_memory_behind(world, eventually):
-    """Sixty samples of 2 MB add less than eight of them to the memory of either end, after the first few."""
+    """Thirty samples of 2 MB add less than eight of them to the memory of either end, after the first few."""
     ends = world().start()
     writer, heard, sizes = ends.side("robot").node("map").create_publisher(UInt8MultiArray, "/map", 10), [], []
     ends.side("base").node("planner").create_subscription(UInt8MultiArray, "/map", lambda _map: heard.append(1), 10)
@@ -71,7 +71,7 @@ def test_large_samples_that_have_crossed_leave_no_memory_behind(world, eventuall
             writer.publish(sample)
         return len(heard) >= samples
 
-    for samples in (10, 70):
+    for samples in (10, 40):
         eventually(f"{samples} samples have crossed", lambda samples=samples: has_heard(samples))
         sizes.append([psutil.Process(end.pid).memory_info().rss for end in ends.processes.values()])
     assert all(after - before < 16e6 for before, after in zip(*sizes, strict=True)), sizes
