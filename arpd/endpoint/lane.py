@@ -90,8 +90,7 @@ class Lane:
     ----------
     depth, large_depth : most small samples that wait of each source, and most large ones
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
-    is_kept : whether the other end delivers its samples however old they are; where they are not ordered, too, what the
-        link has to spare is theirs beyond the plan's rate
+    is_kept : whether the other end delivers its samples however old they are
     weight : without a plan
     patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
         none (s)

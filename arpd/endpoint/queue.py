@@ -59,9 +59,9 @@ class PacedQueue:
     Samples of at most ten packets come first, each topic within its allowed rate. Then comes fair queueing by weight:
     the message first that would end first (Demers, Keshav and Shenker, SIGCOMM 1989), in the virtual time of start-time
     fair queueing (Goyal, Vin and Cheng, SIGCOMM 1996), topics below their floor before the others. No topic exceeds its
-    rate at the price, and a large sample waits until the one before has crossed the link. A topic that has no plan yet
-    has what is spare, as a TCP sender begins with a small window (RFC 5681 §3.1): a robot that starts its cameras on a
-    weak link would fill every queue.
+    rate at the price, but for one that grows and costs little (`Price.growing_hz`), and a large sample waits until the
+    one before has crossed the link. A topic that has no plan yet has what is spare, as a TCP sender begins with a small
+    window (RFC 5681 §3.1): a robot that starts its cameras on a weak link would fill every queue.
 
     Without a daemon nothing waits. `arpd.relay.link_queue` is the queue of an end, in which messages cross in chunks.
 
