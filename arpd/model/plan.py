@@ -25,8 +25,8 @@ class TopicPlan:
     depth : KEEP_LAST depth (samples), 1..5000; 0 = each publisher's application chose depth and deadline
     weight : w, share of link time relative to other topics; 0 = no price applies, the rate is the ceiling
     wire_bytes, packets : s and k, what one sample puts on the link, over all copies
-    max_rate_hz : what the configuration allows; a topic may leave faster than ``rate_hz`` after a wait, while its source
-        grows, or where the link has time to spare, but no faster than that (Hz)
+    max_rate_hz : what the configuration allows; a topic may leave faster than ``rate_hz`` after a wait, while its
+        source grows, or where the link has time to spare, but no faster than that (Hz)
     """
 
     rate_hz: float
