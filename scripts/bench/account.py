@@ -140,7 +140,7 @@ class Account:
                 "max_ms": max(latencies, default=None),
                 "age_p99_s": max(each["age_p99_s"] for each in members.values()),
                 "gap_over_period_s": max(
-                    each["gap_s"] - 1.0 / min(topic.rate_hz for topic in self._sources[name].values())
+                    each["gap_s"] - max(topic.period_s for topic in self._sources[name].values())
                     for name, each in members.items()
                 ),
                 "per_second": sum(each["per_second"] for each in members.values()),

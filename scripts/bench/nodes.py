@@ -144,20 +144,25 @@ class Talker:
             if due_s >= self._until_s:
                 continue
             source = self.sources[number]
-            period_s = 1.0 / source.topic.rate_hz
+            period_s = source.topic.period_s
             ticks = 1 if now_s - due_s <= max(period_s, _LATE_S) else 1 + math.floor((now_s - due_s) / period_s)
-            source.number += ticks
+            source.number += source.topic.burst * (ticks - 1)
             due_s += (ticks - 1) * period_s
             heapq.heappush(self._due, (due_s + period_s, number))
-            if not source.topic.passes(source.number):
-                continue
-            if due_s >= self._from_s:
-                source.first = source.number if source.first is None else source.first
-                source.published += 1
-            if self._until_s < math.inf:
-                source.sent.append((source.number, now_s))
-            source.publisher.publish(source.template.sample(source.number))
+            for _ in range(source.topic.burst):
+                self._publish(source, due_s, now_s)
         return max(0.0, self._due[0][0] - time.monotonic()) if self._due else _REST_S
+
+    def _publish(self, source: Source, due_s: float, now_s: float) -> None:
+        source.number += 1
+        if not source.topic.passes(source.number):
+            return
+        if due_s >= self._from_s:
+            source.first = source.number if source.first is None else source.first
+            source.published += 1
+        if self._until_s < math.inf:
+            source.sent.append((source.number, now_s))
+        source.publisher.publish(source.template.sample(source.number))
 
     def _swap(self) -> None:
         """Give every publisher another DEPTH."""

@@ -113,6 +113,14 @@ _TOPICS: dict[str, tuple[Topic, ...]] = {
         _topic("/bond", "std_msgs/String", 4.0, 110, "bond", publishers=12),
         _cmd(rate_hz=20.0),
     ),
+    "events": (
+        _image(270_000, 30.0),
+        _topic("/log", "std_msgs/String", 10.0, 300, "log", burst=40),
+        _topic("/markers", "std_msgs/String", 5.0, 900, "planner", burst=10),
+        _topic("/tf", "std_msgs/UInt8MultiArray", 60.0, 400, "planner", burst=6),
+        _topic("/goal", "std_msgs/String", 0.25, 120, "planner"),
+        _cmd(rate_hz=20.0),
+    ),
     "telemetry": (*(_telemetry(k) for k in range(100)), _cmd(rate_hz=20.0)),
 }
 _LINKS = links()

@@ -48,6 +48,7 @@ class Topic:
     size : of a serialized sample, met as nearly as its type allows (bytes)
     node : process that publishes it; BASE = on the other host
     publishers : so many of them
+    burst : samples that come at once; ``rate_hz`` is the mean
     depth, deadline_hz : QoS of its writers (samples; Hz, 0 = none)
     is_kept : nobody may thin it: its queues are deep, and its least rate is above its own
     answers : number of sources whose samples its process sends back, the sample n of the source n modulo their number
@@ -60,6 +61,7 @@ class Topic:
     size: int
     node: str
     publishers: int = 1
+    burst: int = 1
     is_latched: bool = False
     depth: int = 10  # what every rclpy tutorial passes
     deadline_hz: float = 0.0
@@ -70,6 +72,11 @@ class Topic:
     def passes(self, number: int) -> bool:
         """Return whether the throttle lets the sample of this number pass."""
         return math.floor(number * self.share) > math.floor((number - 1) * self.share)
+
+    @property
+    def period_s(self) -> float:
+        """Time from one burst, usually of one sample, to the next (s)."""
+        return self.burst / self.rate_hz
 
     @property
     def group(self) -> str:
