@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
 SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
-_UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and there in a dip
+_UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
 CATCH_UP = 2.0
 _DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long, and enough for so long before, costs no small sample
@@ -200,7 +200,7 @@ class Lane:
             allowed_hz = price.growing_hz(plan)
         self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
         self._allowed.retune(allowed_hz, usual_hz=allowed_hz)
-        self._dip_depth = int(min(_MOST_BRIEFLY, max(_LEAST_BURST, _BURST_S * max(plan.rate_hz, allowed_hz))))
+        self._dip_depth = int(min(_MOST_BRIEFLY, max(_LEAST_BURST, _BURST_S * cap_hz)))
         floor_hz = plan.min_rate_hz if price is None else price.floor_hz(plan)
         self._floor_s = 1.0 / floor_hz if floor_hz > 0.0 else math.inf
 
