@@ -23,7 +23,7 @@ _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate;
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
 CATCH_UP = 2.0
-_DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long, and enough for so long before, costs no small sample
+_DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long costs no small sample, if none was lost for so long
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
 _UNPLANNED = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill 0..1 evenly and repeat nothing
@@ -132,7 +132,7 @@ class Lane:
         self._dip_depth = int(_MOST_BRIEFLY)  # small samples of a source that may wait in a dip of the rate
         self._is_thinned = False
         self._thinned = 0
-        self._short_s = self._dip_s = -math.inf  # when its rate was too little last, and since when
+        self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
         self._begun_s = 0.0
         self._floor_s = math.inf
         self._has_floor_turn = False
@@ -227,6 +227,8 @@ class Lane:
         line = self._lines.setdefault(None if self._is_ordered else source, deque())
         line.append(_Waiting(source, message, expires_s))
         if len(line) == 1:
+            if len(self._lines) == 1:
+                self._dip_s = -math.inf  # all that waited has left
             return
         most = self._depth if len(message) <= SMALL_BYTES else self._large_depth
         if self.is_kept and not self._is_ordered and self._cap.due_s(now_s) > now_s:
@@ -351,15 +353,16 @@ class Lane:
         """Return how many small samples of a source may wait.
 
         Within its rate a sample waits for no more than the thread that writes it and the link's next room; and in a dip
-        of the rate, as after a fall of the link, until it is over.
+        of the rate, as after a fall of the link, until it is over. The next dip begins when all that waited has left.
         """
         most = max(1, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
         if waiting > most:
-            if now_s - self._short_s > _CALM_S:
+            if self._dip_s == -math.inf and now_s - self._short_s > _CALM_S:
                 self._dip_s = now_s
-            self._short_s = now_s
             if now_s - self._dip_s < _DIP_S:
                 most = max(most, self._dip_depth)
+            if waiting > most:
+                self._short_s = now_s
         return most
 
     @property

@@ -122,13 +122,22 @@ def test_a_dip_of_the_rate_costs_no_small_sample():
 def test_a_burst_of_small_samples_costs_none_where_no_rate_is_set():
     """All of what is published at once leaves; where more keeps coming than leaves, ten wait."""
     lane = make()
-    for burst_s in (0.0, 2.0):
+    for burst_s in (0.0, 0.5, 2.0):
         for number in range(60):
             lane.offer(b"%4d" % number, burst_s)
         assert [number for _, number in leave_all(lane)] == [*range(60)]
     for number in range(100):
         lane.offer(b"%4d" % number, 20.0 + 0.01 * number)
     assert [number for _, number in leave_all(lane)] == [*range(90, 100)]
+
+
+@pytest.mark.parametrize("more", [1, 60])
+def test_a_burst_that_leaves_slowly_keeps_no_newer_sample_waiting(more):
+    """At 5 Hz a burst of 60 leaves whole if nothing follows; what follows every 2 s waits for no older one."""
+    first = [(0.0, "log", 0)] * 60
+    assert len(play(make(5.0), first)) == 60
+    departures = play(make(5.0), first + [(float(at_s), "log", at_s) for at_s in range(2, 60, 2)] * more)
+    assert max(left_s - at_s for left_s, _, at_s in departures if at_s < 58) <= 2.0
 
 
 @pytest.mark.parametrize(("most_hz", "within_s"), [(math.inf, 3.5), (30.0, 11.0)])
