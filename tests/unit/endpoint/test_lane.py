@@ -119,6 +119,19 @@ def test_a_dip_of_the_rate_costs_no_small_sample():
     assert [number for _, number in leave_all(lane)] == [148, 149]  # of which its rate has the credit
 
 
+def test_of_a_burst_as_much_waits_as_its_configured_rate_lets_leave_soon():
+    """Of 80 samples at once 60 wait where 200 a second are allowed; that rate costs the others, not the price."""
+    terms = {"weight": 1.0, "wire_bytes": 500.0, "packets": 1, "max_rate_hz": 200.0}
+    lane = make()
+    lane.retune(
+        TopicPlan(rate_hz=6.25, min_rate_hz=0.0, deadline_ns=0, depth=1, **terms),
+        Price(share_per_weight=math.inf, capacity_bytes_per_second=1e6),
+    )
+    for _ in range(80):
+        lane.offer(b"   0", 0.0)
+    assert (len(lane), lane.withheld) == (60, {"rate": 20})
+
+
 def test_a_burst_of_small_samples_costs_none_where_no_rate_is_set():
     """All of what is published at once leaves; where more keeps coming than leaves, ten wait."""
     lane = make()
