@@ -191,13 +191,14 @@ class Lane:
         """Take a plan and a price; None = no daemon is there."""
         self.plan, self.price = plan, price
         self.rate_hz = allowed_hz = plan.rate_hz if price is None else price.rate_hz(plan)
-        cap_hz = plan.max_rate_hz
+        growing_hz = plan.rate_hz if price is None else price.growing_hz(plan)
         if self._is_ordered:
             self._depth = self._large_depth = plan.depth
-            cap_hz = max(plan.rate_hz, min(CATCH_UP * plan.rate_hz, cap_hz))
+            cap_hz = max(plan.rate_hz, min(max(CATCH_UP * plan.rate_hz, growing_hz), plan.max_rate_hz))
             allowed_hz = allowed_hz if allowed_hz < plan.rate_hz else cap_hz
-        elif price is not None:
-            allowed_hz = price.growing_hz(plan)
+        else:
+            cap_hz = plan.max_rate_hz if plan.weight > 0.0 or self.is_kept else plan.rate_hz
+            allowed_hz = growing_hz
         self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
         self._allowed.retune(allowed_hz, usual_hz=allowed_hz)
         self._dip_depth = int(min(_MOST_BRIEFLY, max(_LEAST_BURST, _BURST_S * cap_hz)))

@@ -28,7 +28,6 @@ _UNKNOWN_PACKETS = 4
 # costs both ends as much as the samples in it.
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _WAY_S = 0.02  # beyond the last sign that this process lacks the processor
-_MOST_OF_ONE = 5  # messages of a lane at a time: they arrive at once, and more would overrun its readers
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
@@ -268,11 +267,9 @@ class LinkQueue(PacedQueue):
         return Ready(self._coach, part.sample)
 
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
-        """Return what leaves of a lane together with others: one message, and some that its rate and the room allow."""
+        """Return what leaves of a lane together with others: one message, and all that its rate and the room allow."""
         aboard: list[bytes] = []
-        while lane in self._active and lane.next_bytes <= room and len(aboard) < _MOST_OF_ONE:
-            if aboard and lane.first_s(now_s) > now_s:
-                break
+        while lane in self._active and lane.next_bytes <= room and (not aboard or lane.first_s(now_s) <= now_s):
             if (current := lane.begin(now_s)) is None:
                 del self._active[lane]
                 break

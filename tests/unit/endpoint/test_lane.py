@@ -18,7 +18,7 @@ LARGE = bytes(SMALL_BYTES)  # after the number in front of it
 def make(rate_hz=math.inf, *, depth=1, **options):
     """Return a lane with a rate and a DEPTH that a plan gives it."""
     lane = Lane(lambda _sample: None, **options)
-    lane.retune(TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=depth), None)
+    lane.retune(TopicPlan(rate_hz=rate_hz, min_rate_hz=0.0, deadline_ns=0, depth=depth, weight=1.0), None)
     return lane
 
 

@@ -68,10 +68,11 @@ def test_a_small_topic_that_grows_after_its_plan_loses_nothing(level):
     world = Participant(Price(share_per_weight=level, capacity_bytes_per_second=CAPACITY))
     for name, size in (("joystick", SMALL), ("log", SMALL), ("image", LARGE)):
         world.topic(name, plan(6.25, size))
+    world.topic("events", plan(6.25, SMALL, depth=10), is_ordered=True)
     for _ in range(8):
         world.offer("log", SMALL)
-    world.play({"joystick": (25.0, SMALL), "image": (20.0, LARGE)}, 4.0)
-    assert len(world.left["joystick"]) == 100
+    world.play({"joystick": (25.0, SMALL), "events": (25.0, SMALL), "image": (20.0, LARGE)}, 4.0)
+    assert len(world.left["joystick"]) == len(world.left["events"]) == 100
     assert len(world.left["log"]) == 8
     assert len(world.left["image"]) <= 27
 
