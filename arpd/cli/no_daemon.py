@@ -55,6 +55,6 @@ def failure(name: str, unit: ServiceState) -> str:
     if unit.active != "failed" and not unit.is_restarted:
         return ""
     # Its next attempt, which is under way, has no reason yet.
-    usual = f"exit code {unit.exit_code}: " if unit.exit_code else f"{unit.result}: ".replace("success: ", "")
-    cause = _CAUSES.get(unit.exit_code or 0, usual + _JOURNAL).format(name)
+    reason = f"exit code {unit.exit_code}" if unit.exit_code else unit.result.removeprefix("success")
+    cause = _CAUSES.get(unit.exit_code or 0, f"{reason}: {_JOURNAL}" if reason else _JOURNAL).format(name)
     return f"{name} failed, {cause}{'; systemd starts it again' if unit.is_restarted else ''}"

@@ -89,8 +89,12 @@ def own_address(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> 
     names = {link.own: True, link.peer: False} if link else {}
     ends = {name: found for name in names if name and (found := ends_of_route(name))}
     if link and file and (other := ends.get(link.peer)) and leads_here(other):
-        own, is_loop = ends.get(link.own), ip_address(other[1]).is_loopback
-        if not (own is None or ip_address(own[1]).is_loopback if is_loop else own and leads_here(own)):
+        own = ends.get(link.own)
+        if ip_address(other[1]).is_loopback:
+            is_meant = own is None or ip_address(own[1]).is_loopback
+        else:
+            is_meant = own is not None and leads_here(own)
+        if not is_meant:
             key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
             wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
             source = YamlSource(file)

@@ -59,14 +59,17 @@ class Price:
         """Return R for a source that may be faster than when it was planned; what costs little has a higher ceiling."""
         if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
             return plan.rate_hz
-        ceiling_hz = min(plan.max_rate_hz, max(plan.rate_hz, _GROWTH / self.cost_s(plan)))
+        ceiling_hz = min(plan.max_rate_hz, max(plan.rate_hz, self._hz(_GROWTH, plan)))
         return min(ceiling_hz, self._level_hz(plan))
 
     def _level_hz(self, plan: TopicPlan) -> float:
         if plan.weight <= 0.0 or plan.wire_bytes <= 0.0:
             return math.inf
+        return max(self.floor_hz(plan), self._hz(self.share_per_weight * plan.weight, plan))
+
+    def _hz(self, share: float, plan: TopicPlan) -> float:
         cost_s = self.cost_s(plan)
-        return max(self.floor_hz(plan), self.share_per_weight * plan.weight / cost_s if cost_s > 0.0 else math.inf)
+        return share / cost_s if cost_s > 0.0 else math.inf
 
     def cost_s(self, plan: TopicPlan) -> float:
         """Return a, the link time of one sample (s)."""

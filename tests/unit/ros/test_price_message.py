@@ -64,3 +64,4 @@ def test_under_any_price_a_publisher_keeps_to_its_ceiling(price, weight, wire_by
         rate_hz=30.0, min_rate_hz=5.0, deadline_ns=0, depth=1, weight=weight, wire_bytes=wire_bytes, packets=3
     )
     assert 0.0 <= price.rate_hz(plan) <= 30.0
+    assert price.rate_hz(plan) <= price.growing_hz(plan)
