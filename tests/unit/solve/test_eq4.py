@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import pytest
+from hypothesis import strategies as st
 
 from arpd.model.plan import rate_of
 from arpd.model.settings import Backend
@@ -15,6 +16,15 @@ TABLE_2 = [
     (500, 40, 405, Fraction(122, 3), Fraction(1217, 3)),
     (1000, 82, 410, Fraction(247, 3), Fraction(1232, 3)),
 ]
+
+problems = st.builds(
+    Eq4Problem,
+    max_rate_hz=st.floats(1.0, 1e5),
+    topics=st.integers(1, 200),
+    min_rate_hz=st.floats(0.01, 20.0),
+    min_depth=st.integers(1, 50),
+    max_depth=st.integers(50, 10000),
+)
 
 
 @pytest.mark.parametrize("backend", Backend)
