@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.options import DEFAULT_CONFIG, Command, add_json
 from arpd.host.addresses import own_address
 from arpd.host.config.keys import changes, flatten
-from arpd.host.config.load import load_settings, local_domain
+from arpd.host.config.load import domain_of_units, load_settings
 from arpd.host.interface import list_interfaces
 from arpd.model.errors import ConfigError
 from arpd.model.quantities import format_rate
@@ -48,7 +48,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _check(options: argparse.Namespace) -> int:
     interfaces = None if options.far or options.no_interfaces else list_interfaces
     try:
-        settings = load_settings(options.file, interfaces=interfaces, local_domain=local_domain())
+        settings = load_settings(options.file, interfaces=interfaces, local_domain=domain_of_units())
         if not options.no_interfaces:
             own_address(options.file, settings.relay.link(is_far=options.far), is_far=options.far)
         if not options.far:

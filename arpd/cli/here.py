@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from arpd.cli.client import Daemon
 from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
 from arpd.host.addresses import own_address
-from arpd.host.config.load import load_settings, local_domain
+from arpd.host.config.load import domain_of_units, load_settings
 from arpd.host.config.yaml_source import YamlSource
 from arpd.host.discovery import HeardDiscovery, listen
 from arpd.host.interface import index_of, interface_to, likeliest_interface, list_interfaces
@@ -68,7 +68,7 @@ class Here:
         """Discovery on the link."""
         if not self._options.listen:
             raise NotKnownError("--listen 0 asks not to listen")
-        if (domain_id := local_domain(os.environ)) is None:
+        if (domain_id := domain_of_units()) is None:
             raise NotKnownError("ROS_DOMAIN_ID is no number")
         return listen(self.interface, domain_id, duration_s=self._options.listen)
 
@@ -85,7 +85,7 @@ class Here:
         """Return the faults of a file, and keep the settings of one that has values; raise where its name is a typo."""
         interfaces = None if self.is_far else list_interfaces
         try:
-            self.settings = load_settings(path, interfaces=interfaces, local_domain=local_domain())
+            self.settings = load_settings(path, interfaces=interfaces, local_domain=domain_of_units())
             own_address(path, self.settings.relay.link(is_far=self.is_far), is_far=self.is_far)
         except ConfigError as error:
             if path is self._options.config and not path.exists():

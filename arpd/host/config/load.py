@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -15,13 +18,13 @@ from arpd.model.quantities import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
-    from pathlib import Path
 
     from pydantic_core import ErrorDetails
 
     from arpd.model.settings import Settings
 
 T = TypeVar("T")
+OF_UNITS = Path("/etc/default/arpd")  # their environment
 
 
 def load_settings(
@@ -74,6 +77,14 @@ def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
         return int(environment.get("ROS_DOMAIN_ID") or "0", base=0)
     except ValueError:
         return None
+
+
+def domain_of_units() -> int | None:
+    """Return the domain of arpd's units and of the nodes beside them, which a shell need not have."""
+    given: dict[str, str] = {}
+    with suppress(OSError):
+        given.update(re.findall(r'^(ROS_DOMAIN_ID)=["\']?(\w*)', OF_UNITS.read_text(errors="replace"), re.MULTILINE))
+    return local_domain({**os.environ, **given})
 
 
 def _reworded(details: ErrorDetails, source: YamlSource, sections: Sections) -> Fault:

@@ -10,6 +10,7 @@ import pytest
 from arpd import __version__
 from arpd.cli import checks, here, options
 from arpd.host import addresses
+from arpd.host.config import load
 from arpd.host.discovery import HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
@@ -173,6 +174,13 @@ def test_a_file_that_is_named_is_there(run, tmp_path):
     code, out, err = run("doctor", "--config", tmp_path / "typo.yaml")
     assert (code, out) == (78, "")
     assert err.startswith(f"{tmp_path}/typo.yaml:1:1: file: ")
+
+
+def test_it_listens_in_the_domain_of_the_units(doctor, monkeypatch, tmp_path):
+    """Their environment file has it, and a shell need not."""
+    (tmp_path / "default").write_text('#ROS_DOMAIN_ID=4\nROS_DOMAIN_ID="5"\n')
+    monkeypatch.setattr(load, "OF_UNITS", tmp_path / "default")
+    assert "(domain 5)" in doctor("--json")[1]
 
 
 @pytest.mark.parametrize("why", ["told not to", "no interface", "no domain"])
