@@ -235,7 +235,7 @@ export class Charts {
     ctx.fillStyle = line;
     const height = 7 * devicePixelRatio;
     for (const at of plans) {
-      if (at >= plot.scales.x.min) ctx.fillRect(x(at) - 1, bbox.top + bbox.height - height, 2, height);
+      if (at >= plot.scales.x.min && at <= plot.scales.x.max) ctx.fillRect(x(at) - 1, bbox.top + bbox.height - height, 2, height);
     }
     ctx.restore();
   }
