@@ -155,14 +155,18 @@ def region(here: Here) -> Finding:
     return wrong(
         "no regulatory domain is set: the radio sends with little power, and on few channels of 5 GHz",
         "sudo iw reg set YOUR_COUNTRY   # its two letters",
-        "echo 'options cfg80211 ieee80211_regdom=YOUR_COUNTRY' | sudo tee /etc/modprobe.d/arpd-region.conf   # its "
-        "two letters; from the next start",
+        "echo 'options cfg80211 ieee80211_regdom=YOUR_COUNTRY' | sudo tee /etc/modprobe.d/arpd-region.conf   # lasting",
     )
 
 
 def address(here: Here) -> Finding:
     """Judge whether DDS can use the link."""
-    interface = here.interface
+    interface, own = here.interface, here.own_end
+    if own and not kernel.is_own_address(own):
+        return wrong(
+            f"{own} is no address of this computer, though relay.{'base' if here.is_far else 'robot'} says so",
+            "ip -4 -br address   # shows those it has; correct the files of both, then: sudo systemctl restart 'arpd*'",
+        )
     if addresses := ipv4_addresses().get(interface):
         return fine(f"{interface} has {listed(sorted(addresses))}")
     if (SYS_NET / interface / "master").exists():

@@ -46,7 +46,9 @@ class Here:
             there = ", ".join(sorted(list_interfaces() or ()))
             raise UsageError(f"--interface {printable(options.interface)}: there is none here; write one of {there}")
         relay = self.settings.relay
-        self.other_end = (options.url.host if self._is_remote else relay.robot) if self.is_far else relay.base
+        self.own_end, self.other_end = (relay.base, relay.robot) if self.is_far else (relay.robot, relay.base)
+        if self._is_remote:
+            self.other_end = options.url.host
         self.found_interface: str = options.interface or self._find_interface()
 
     @property

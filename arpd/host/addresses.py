@@ -96,7 +96,9 @@ def own_address(file: Path | None, link: LinkDomain | None, *, is_far: bool) -> 
             is_meant = own is not None and leads_here(own)
         if not is_meant:
             key, programs = ("robot", "arpd and arpd-relay") if is_far else ("base", "arpd-peer and arpd-relay-far")
-            wrong = f"{link.peer} is an address of this computer, where {programs} belong; start those, or correct it"
+            check = "arpd check" if is_far else "arpd check --far"
+            wrong = f"{link.peer} is an address of this computer, where {programs} belong"
+            wrong += f"; start those ({check} is for them), or correct it"
             source = YamlSource(file)
             raise source.error([source.fault(("relay", key), wrong)])
 

@@ -15,7 +15,7 @@ from arpd.model.settings import AUTO, RelaySettings
 from arpd.report import waiting
 from arpd.report.conditions import Condition, Finding
 from arpd.report.topic_rows import Topic, topic_rows
-from arpd.report.wording import confirmed, count, listed, short
+from arpd.report.wording import confirmed, count, joined, listed, short
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -191,8 +191,10 @@ def _why_cut(relay: RelaySummary, settings: RelaySettings) -> str:
         return f"the base computer's end on {relay.other_host} is silent, so no topic crosses; {see}"
     first, last = settings.ports
     firewall = f"a firewall must let UDP ports {first} to {last} in, on both computers"
+    ends = {"robot": settings.robot, "base": settings.base}
+    named = joined([f"{each} (relay.{key})" for key, each in ends.items() if each])
     heard = f"is heard in ROS domain {settings.link_domain} (relay.link_domain)"
-    return f"no end on the base computer {heard}, so no topic crosses; {see}; {firewall}"
+    return f"no end on the base computer {heard}, so no topic crosses; {see}; {firewall}; check the address {named}"
 
 
 def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:

@@ -249,8 +249,18 @@ def test_a_link_needs_an_address_unless_a_bridge_has_it(monkeypatch, tmp_path):
     monkeypatch.setattr(checks, "ipv4_addresses", lambda: {"eth0": frozenset({"10.0.0.1"})})
     monkeypatch.setattr(checks, "SYS_NET", tmp_path)
     (tmp_path / "wlan1/master").mkdir(parents=True)
-    judged = {name: health(checks.address, Namespace(interface=name)) for name in ("eth0", "wlan0", "wlan1")}
+    names = ("eth0", "wlan0", "wlan1")
+    judged = {name: health(checks.address, Namespace(interface=name, own_end=None)) for name in names}
     assert judged == {"eth0": "fine", "wlan0": "wrong", "wlan1": "fine"}
+
+
+@pytest.mark.parametrize(("own", "expected"), [("10.0.0.1", "fine"), ("10.0.0.9", "wrong")])
+def test_the_file_has_this_computers_own_address(monkeypatch, own, expected):
+    """Where multicast passes, the ends meet with wrong addresses, too, and elsewhere never."""
+    monkeypatch.setattr(checks, "ipv4_addresses", lambda: {"eth0": frozenset({"10.0.0.1"})})
+    monkeypatch.setattr(checks.kernel, "is_own_address", {"10.0.0.1": True, "10.0.0.9": False}.__getitem__)
+    found = checks.address(Namespace(interface="eth0", own_end=own, is_far=True))
+    assert (found.health, "relay.base" in found.text) == (expected, expected == "wrong")
 
 
 @pytest.mark.parametrize(

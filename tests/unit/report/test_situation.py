@@ -119,7 +119,8 @@ def test_the_ports_of_the_link_are_named_while_its_other_end_was_never_heard():
     """An end that spoke before is behind no firewall."""
     for other_host, is_named in (("", True), ("base", False)):
         snapshot = held(starting(TWO_ENDS, relay=of_relay(is_reachable=False, other_host=other_host)))
-        assert ("UDP ports 26660 to 26667" in findings(snapshot)[Condition.RELAY_CUT]) is is_named
+        told = findings(snapshot)[Condition.RELAY_CUT]
+        assert ("UDP ports 26660 to 26667" in told) is ("10.0.0.1 (relay.robot)" in told) is is_named
 
 
 def test_a_relay_is_not_called_silent_while_the_link_is_out():
