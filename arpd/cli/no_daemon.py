@@ -14,10 +14,12 @@ if TYPE_CHECKING:
 
 _ROBOT = "arpd"
 _JOURNAL = "see journalctl -u {0}"
+_DEAF = "no metrics: "  # as the HTTP server says in the unit's status
 _CAUSES = {
     2: "its command line is wrong: see systemctl cat {0}",
     69: f"ROS cannot be used: {_JOURNAL}",
-    78: f"its configuration is wrong: {_JOURNAL}; arpd check names every fault of its file",
+    # As its user: root may read what the unit may not.
+    78: f"its configuration is wrong: {_JOURNAL}; sudo -u arpd arpd check names every fault of its file",
 }
 
 
@@ -51,7 +53,9 @@ def _of_stopped(robot: ServiceState, used_on_base: list[str]) -> str:
 
 
 def failure(name: str, unit: ServiceState) -> str:
-    """Say why a unit failed, or fails again and again, and what to do; empty where it does not."""
+    """Say why a unit failed, fails again and again, or cannot listen, and what to do; empty where all is well."""
+    if (at := unit.says.find(_DEAF)) >= 0:
+        return f"{name} has {unit.says[at:]}"
     if unit.active != "failed" and not unit.is_restarted:
         return ""
     # Its next attempt, which is under way, has no reason yet.

@@ -71,6 +71,7 @@ def unit(active, **fields):
         (checks.discovery, hears(*[NODE] * 21), "wrong"),
         # A unit that nobody enabled may rest.
         (checks.units, unit("active"), "fine"),
+        (checks.units, unit("active", says="no metrics: port taken"), "wrong"),
         (checks.units, unit("failed"), "wrong"),
         (checks.units, unit("inactive"), "wrong"),
         (checks.units, unit("inactive", is_enabled=False), "fine"),

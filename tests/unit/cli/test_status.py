@@ -86,11 +86,12 @@ STOPPED = unit("inactive", is_enabled=False)
     ("robot", "other_end", "said"),
     [
         (unit("active"), "inactive", "compare http.host"),
+        (unit("active", says="x; no metrics: port taken"), "inactive", "arpd has no metrics: port taken"),
         (unit("activating"), "inactive", "ask again"),
         (unit("deactivating"), "inactive", "restores the publishers"),
         (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
         (unit("activating", is_restarted=True, result="success"), "inactive", "arpd failed, see journalctl -u arpd; s"),
-        (unit("failed", exit_code=78, result="exit-code"), "inactive", "arpd check"),
+        (unit("failed", exit_code=78, result="exit-code"), "inactive", "sudo -u arpd arpd check"),
         (unit("failed", result="watchdog"), "inactive", "watchdog"),
         (unit("inactive"), "inactive", "systemctl start arpd"),
         (STOPPED, "inactive", "systemctl enable --now arpd"),
