@@ -134,8 +134,8 @@ class InterfaceReader:
 
     An interface that returns under its name continues the old totals. ``auto`` may mean another one later: until one
     was up; if it was no radio, when a radio comes, when it has been away for ten seconds, as a cable that a robot boots
-    with, or when the route has led elsewhere as long, as back to a bridge that started again; and the one that gets the
-    address of one that is gone, because that was renamed, or replaced.
+    with, or when the route has led elsewhere as long, as back to a bridge that started again; and another radio, or the
+    one that gets the address, in the place of one that is gone, because that was renamed, or replaced.
 
     Parameters
     ----------
@@ -182,7 +182,8 @@ class InterfaceReader:
     def read(self) -> LinkCounters | None:
         """Return counters, which never fall, and state; None while the interface is gone."""
         now_s = self._clock()
-        if self._may_choose and (not self._was_up or now_s - self._chosen_s >= _CHOOSE_S):
+        may_choose = self._may_choose or (self._is_auto and self._raw is None)
+        if may_choose and (not self._was_up or now_s - self._chosen_s >= _CHOOSE_S):
             self._choose_again(now_s)
         if (raw := self._read(self.name)) is None and self._own:
             if heir := next((name for name, addresses in self._addresses().items() if addresses & self._own), None):
@@ -208,7 +209,7 @@ class InterfaceReader:
         self._elsewhere_s = math.inf if route in {None, self.name} else min(self._elsewhere_s, now_s)
         if (chosen := route or self._choose()) is None or chosen == self.name:
             return
-        is_lost = now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S
+        is_lost = self._may_choose and now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S
         if not self._was_up or is_lost or self._is_radio(chosen):
             log.info("link.interface is auto: arpd uses %s", chosen)
             self.name, self._raw, self._own = chosen, None, frozenset()

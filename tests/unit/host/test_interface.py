@@ -125,6 +125,27 @@ def test_auto_takes_what_comes_and_stays_with_a_radio_that_was_up(kernel, caplog
     assert len(caplog.records) == 2, "each choice"
 
 
+def test_auto_takes_another_radio_in_the_place_of_one_that_is_gone(kernel):
+    """A dongle that returns with another name and address, or is replaced, is the link; a cable is not."""
+    choice = ["wlan0"]
+    reader = kernel.reader("auto", choose=lambda: choice[0], addresses=lambda: {"wlan0": frozenset({"10.0.0.1"})})
+    kernel.put("wlan0", rx=(900, 9))
+    kernel.put("eth0")
+    kernel.put("wlan1", rx=(5, 5))
+    reader.read()
+    choice[0] = "wlan1"
+    kernel.now_s += 60.0
+    assert (received(reader.read()), reader.name) == ((900, 9), "wlan0")
+    del kernel.interfaces["wlan0"]
+    names = []
+    for choice[0] in ("eth0", "wlan1"):
+        for _ in range(20):
+            kernel.now_s += 1.0
+            reader.read()
+        names.append(reader.name)
+    assert names == ["wlan0", "wlan1"]
+
+
 def test_auto_leaves_a_cable_that_is_pulled_and_one_beside_a_radio(kernel):
     """A robot that boots at its cable measures its radio later; one without a radio, what carries its traffic."""
     choice = ["eth0"]
