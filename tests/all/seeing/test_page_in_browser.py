@@ -169,6 +169,18 @@ def test_the_document_stands_in_its_places_and_nobody_else_is_asked(daemon, visi
     assert seen.complaints == []
 
 
+def test_news_does_not_look_like_a_warning(daemon, visit):
+    """A finding of severity info beside the verdict has other colours than one of severity warning."""
+    look = """(mark) => {
+      const notice = document.querySelector(".notice");
+      notice.dataset.mark = mark;
+      return getComputedStyle(notice).backgroundColor;
+    }"""
+    daemon.snapshot = looked(daemon.snapshot, config_error="line 3")
+    seen = visit()
+    assert len({seen.page.evaluate(look, mark) for mark in ("info", "warning", "error")}) == 3
+
+
 def test_names_from_the_network_stay_text(daemon, visit):
     """Markup in names, reasons and events is shown as it is written, and runs nothing."""
     evil = publisher(HOSTILE, HOSTILE, refusal=HOSTILE, published_rate_hz=1.0)
