@@ -26,8 +26,8 @@ def topics_of(sender: EndState, receiver: EndState) -> RelayTopics:
     """
     entering = {*sender.topics, *sender.services}
     leaving = {*receiver.topics, *receiver.services}
-    refused = {name: reason for name, reason in sender.refused.items() if name not in leaving}
-    refused |= {name: reason for name, reason in receiver.refused.items() if name in entering}
+    refused = {name: _said(sender, reason) for name, reason in sender.refused.items() if name not in leaving}
+    refused |= {name: _said(receiver, reason) for name, reason in receiver.refused.items() if name in entering}
     wanted = sender.topics.keys() & receiver.wants
     users = {name for name, offer in sender.topics.items() if not all(is_arpds(each.node) for each in offer.writers)}
     return RelayTopics(offered=len(users | wanted), wanted=len(wanted), refused=refused)
@@ -61,6 +61,11 @@ def status_line(relay: RelaySummary, *, is_far: bool, is_met: bool, second_ends:
     if second_ends:
         line += f"; ignored another {there}'s end on {', '.join(second_ends)}: one robot has one"
     return line + _named("refused", {**leaving.refused, **entering.refused})
+
+
+def _said(end: EndState, reason: str) -> str:
+    """Return a reason with the host that its "here" means: the daemon and the other end name it, too."""
+    return f"on {end.host}: {reason}"
 
 
 def prefix_line(*, topics: int, silent: Collection[str], refused: Mapping[str, str], ignored: Mapping[str, str]) -> str:

@@ -216,7 +216,7 @@ def test_a_service_that_both_sides_serve_is_refused(world, eventually):
     ends = world("services: [/double]").start()
     far = Doubler(ends.side("robot").node("far"))
     near = Doubler(ends.side("base").node("near"))
-    words = "refused /double: a node on this side serves it, too"
+    words = "a node on this side serves it, too"
     eventually("an end refuses it", lambda: any(words in status for status in ends.status.values()))
     client = ends.side("base").node("user").create_client(BasicTypes, "/double")
     eventually("it is served", client.service_is_ready)

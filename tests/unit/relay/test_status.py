@@ -27,6 +27,14 @@ def test_diagnostics_of_arpd_alone_are_no_topic_that_could_cross(nodes, wants, o
     assert (found.offered, found.wanted) == (offered, len(wants))
 
 
+def test_a_refusal_names_the_host_where_it_holds():
+    """A type that is not installed "here" is missing on that computer, wherever one reads of it."""
+    robot = EndState(session=1, host="spot", topics={"/scan": offer("/lidar")}, refused={"/cmd": "no such type here"})
+    base = EndState(session=2, host="desk", topics={"/cmd": offer("/joy")}, refused={"/scan": "two types here"})
+    assert topics_of(robot, base).refused == {"/scan": "on desk: two types here"}
+    assert topics_of(base, robot).refused == {"/cmd": "on spot: no such type here"}
+
+
 def test_no_topic_is_said_to_cross_while_the_other_end_is_silent():
     """The line says that they wait."""
     silent = status_line(RelaySummary(is_reachable=False), is_far=False, is_met=True, second_ends=())
