@@ -61,21 +61,21 @@ class Endpoint:
         return self.gid[2:4]
 
 
-def writers_of(node: Node, topic: str) -> tuple[Endpoint, ...]:
-    """Read the writers of a topic, by its full name, now; any node sees the whole graph.
+def writers_of(node: Node, topic: str, *, is_of_dds: bool = False) -> tuple[Endpoint, ...]:
+    """Read the writers of a topic now, by its full name, or that of DDS; any node sees the whole graph.
 
     Raises RuntimeError if the middleware has no answer, and ValueError if a name is no text.
     """
-    return _endpoints(rclpy_implementation.rclpy_get_publishers_info_by_topic, node, topic)
+    return _endpoints(rclpy_implementation.rclpy_get_publishers_info_by_topic, node, topic, is_of_dds=is_of_dds)
 
 
 def readers_of(node: Node, topic: str, *, is_of_dds: bool = False) -> tuple[Endpoint, ...]:
-    """Read the readers of a topic now, as `writers_of` does; perhaps by the name that DDS has for it."""
+    """Read the readers of a topic now, as `writers_of` does."""
     return _endpoints(rclpy_implementation.rclpy_get_subscriptions_info_by_topic, node, topic, is_of_dds=is_of_dds)
 
 
 def _endpoints(
-    read: Callable[[Any, str, bool], list[Mapping[str, Any]]], node: Node, topic: str, *, is_of_dds: bool = False
+    read: Callable[[Any, str, bool], list[Mapping[str, Any]]], node: Node, topic: str, *, is_of_dds: bool
 ) -> tuple[Endpoint, ...]:
     # Not by the node's methods, which make more objects of each endpoint and take half as long again.
     with node.handle:

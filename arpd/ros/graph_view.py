@@ -123,6 +123,11 @@ class GraphView:
         topic = f"rq{service}Request"
         return self._once("servers", service, lambda: readers_of(self._node, topic, is_of_dds=True), ())
 
+    def responders(self, service: str) -> tuple[Endpoint, ...]:
+        """Return the same servers, as the writers of their responses."""
+        topic = f"rr{service}Reply"
+        return self._once("responders", service, lambda: writers_of(self._node, topic, is_of_dds=True), ())
+
     def _namesakes(self) -> frozenset[bytes]:
         found = (writer.participant for writer in self.writers(ON_EVERY_NODE) if writer.node == self.own.node)
         return frozenset({self.own.participant, *found})

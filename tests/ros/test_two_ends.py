@@ -11,8 +11,10 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String, UInt8MultiArray
+from test_msgs.srv import BasicTypes
 
 from arpd.model.plan import TopicPlan
+from arpd.relay.ends.end import NOBODY
 from arpd.relay.ends.offers import VERSION, ServiceOffer, TopicOffer, WriterOffer, decode_state
 from arpd.relay.envelope import Record, pack, writer_key
 from arpd.ros.names import on_link
@@ -333,29 +335,39 @@ def test_what_was_on_its_way_longer_than_its_lifespan_is_not_delivered(world, ev
 
 
 def test_a_type_with_another_definition_is_refused_by_name(world, eventually):
-    """Of two topics of one type that of another definition does not enter, nor does a service of an unknown type."""
-    ends = world("services: [/unknown]").start("robot")
+    """Of two topics and two services of one type those of another definition do not enter, nor one of an unknown."""
+    ends = world("services: [/**]").start("robot")
     robot, link = ends.side("robot").node("sensor"), ends.side("link")
     Counter(robot, String, "/chatter", RELIABLE)
     told = listen(link.node("watcher"), "/arpd/relay/robot", latched(1), UInt8MultiArray)
-    offered = eventually("the end tells what it offers", lambda: told and decode_state(bytes(told[-1])).topics)
-    same = offered["/chatter"].type_hash
-    assert same.startswith("RIHS01_")
+    robot.create_service(BasicTypes, "/double", lambda _request, response: response)
+
+    def offered():
+        state = decode_state(bytes(told[-1])) if told else NOBODY
+        return state.topics.get("/chatter"), state.services.get("/double")
+
+    eventually("the end tells what it offers", lambda: all(offered()))
+    same, (asked, answered) = offered()[0].type_hash, offered()[1].type_hashes
+    assert len({same[:7], asked[:7], answered[:7], "RIHS01_"}) == 1
     writer = WriterOffer(node="/planner", gid="00" * 16)
     topics = {
         name: TopicOffer(type_name="std_msgs/msg/String", writers=(writer,), link_name=name, type_hash=type_hash)
         for name, type_hash in (("/same", same), ("/other", f"RIHS01_{'0' * 64}"))
     }
-    services = {"/unknown": ServiceOffer(type_name="nowhere/srv/Thing", node="/planner")}
+    services = {"/unknown": ServiceOffer(type_name="nowhere/srv/Thing", node="/planner")} | {
+        name: ServiceOffer(type_name="test_msgs/srv/BasicTypes", node="/planner", type_hashes=hashes)
+        for name, hashes in (("/ask", (asked, answered)), ("/unlike", (asked, same)))
+    }
     stranger = Stranger(link.node("stranger"), topics=topics, services=services)
 
     def is_refused():
         stranger.live()
         words = f"refused /other: on {platform.node()}: std_msgs/msg/String has another definition here"
-        return words in ends.status["robot"] and ends.status["robot"].endswith("; also /unknown")
+        return words in ends.status["robot"] and ends.status["robot"].endswith("; also /unknown, /unlike")
 
     eventually("the other definition is refused", is_refused)
     assert [robot.count_publishers(name) for name in topics] == [1, 0]
+    assert [robot.count_services(name) for name in services] == [0, 1, 0]
 
 
 def test_two_ends_in_one_domain_say_so_and_carry_nothing(world, talking, eventually):

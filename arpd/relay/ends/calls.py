@@ -130,7 +130,7 @@ class Calls:
             name = self._side.robot_name(local) if is_full_name(local) else None
             if name is not None and self._side.may_call(name):
                 servers[name] = [each for each in self._view.servers(local) if each.participant not in ours]
-        self.offers = {name: offer for name, found in servers.items() if (offer := self._offer(found)) is not None}
+        self.offers = {name: offer for name, found in servers.items() if (offer := self._offer(name, found))}
         for name, client in [*self._clients.items()]:
             client.forget_given_up()
             if self.offers.get(name) != client.offer:
@@ -138,14 +138,17 @@ class Calls:
         offered, self._session_there = self.offered
         self._follow(offered, self._session_there, {name for name, found in servers.items() if found})
 
-    def _offer(self, servers: list[Endpoint]) -> ServiceOffer | None:
-        """Return the first server whose node is known."""
-        named = [server for server in servers if server.node]
+    def _offer(self, name: str, servers: list[Endpoint]) -> ServiceOffer | None:
+        """Return the first server whose node is known, and whose writer of responses."""
+        found = self._view.responders(self._side.local_name(name))
+        responders = {(each.participant, each.node): each.type_hash for each in found}
+        named = [server for server in servers if server.node and (server.participant, server.node) in responders]
         if (first := min(named, key=lambda server: server.node, default=None)) is None:
             return None
         # The type of DDS, example_interfaces::srv::dds_::AddTwoInts_Request_, has another name in ROS.
         type_name = first.type_name.replace("::dds_::", "::").removesuffix("_Request_").replace("::", "/")
-        return ServiceOffer(type_name=type_name, node=self._side.node_name(first.node))
+        hashes = first.type_hash, responders[first.participant, first.node]
+        return ServiceOffer(type_name=type_name, node=self._side.node_name(first.node), type_hashes=hashes)
 
     def _follow(self, offered: Mapping[str, ServiceOffer], session: int | None, served: Collection[str]) -> None:
         """Serve here what the other end offers, and nothing else; not what is served on this side."""

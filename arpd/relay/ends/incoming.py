@@ -16,7 +16,7 @@ from rclpy.exceptions import NameValidationException
 from arpd.model.endpoints import WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.ghosts import GhostNodes, GhostWriter
-from arpd.relay.ends.types import MOST_BYTES, UnknownTypeError, definition_hash, held_depth, is_bulk, message_class
+from arpd.relay.ends.types import MOST_BYTES, UnknownTypeError, held_depth, is_bulk, message_class, require_same
 from arpd.relay.envelope import Chunk, Record, unpack, writer_key
 from arpd.ros.names import on_link
 from arpd.ros.raw_reader import LATE_S
@@ -34,7 +34,6 @@ _GRACE_S = 5.0
 _MOST_HELD = 5000
 _HELD_S = 3.0
 _NEWER_S = 0.3  # what an outage delayed comes within that; the newest of each source is delivered
-_HASH = 15  # characters that tell two hashes apart
 _MOST_SWAPS = 5  # asked for in a step: each takes a millisecond under the lock, and is announced to every process
 
 
@@ -206,10 +205,5 @@ class Incoming:
 def _class_of(offer: TopicOffer) -> Any:
     """Return the message class of an offered topic; UnknownTypeError = there is none, or another one, here."""
     kind = message_class(offer.type_name)
-    here = definition_hash(kind) if offer.type_hash else ""
-    if here != offer.type_hash:
-        raise UnknownTypeError(
-            f"{offer.type_name} has another definition here ({here[:_HASH]}...) than there "
-            f"({offer.type_hash[:_HASH]}...); build its package from one source on both ends"
-        )
+    require_same(kind, offer.type_name, offer.type_hash)
     return kind

@@ -76,10 +76,17 @@ class TopicOffer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServiceOffer:
-    """A service that the other side may call: its type, ``example_interfaces/srv/AddTwoInts``, and its node."""
+    """A service that the other side may call.
+
+    Parameters
+    ----------
+    type_name, node : its type, ``example_interfaces/srv/AddTwoInts``, and its node
+    type_hashes : as that of a topic, of its request and its response
+    """
 
     type_name: str
     node: str
+    type_hashes: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

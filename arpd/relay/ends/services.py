@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason
-from arpd.relay.ends.types import service_class
+from arpd.relay.ends.types import require_same, service_class
 from arpd.ros.raw_reader import Inlet, ReadingThread
 from arpd.ros.rcl import rcl
 
@@ -84,7 +84,7 @@ class GhostServer(_Endpoint):
     def __init__(
         self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, on_request: Callable[[Any, Any], None]
     ) -> None:
-        self.offer, self.kind = offer, service_class(offer.type_name)
+        self.offer, self.kind = offer, _class_of(offer)
         self._node, self._on_request = node, on_request
         self._server = node.create_service(self.kind, name, lambda _request, answer: answer, qos_profile=_QOS)
         super().__init__(self._server, name, rcl().notify_server, thread)
@@ -121,7 +121,7 @@ class LocalClient(_Endpoint):
     """
 
     def __init__(self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, book: CallBook) -> None:
-        self.offer, self._kind = offer, service_class(offer.type_name)
+        self.offer, self._kind = offer, _class_of(offer)
         self._node, self._book = node, book
         self._matched_s = math.inf  # when it began to see its server
         self._running: dict[int, CallId] = {}  # by the number that each request has here
@@ -166,6 +166,14 @@ class LocalClient(_Endpoint):
             self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
         super().destroy()
         self._node.destroy_client(self._client)
+
+
+def _class_of(offer: ServiceOffer) -> Any:
+    """Return the class of a service; UnknownTypeError = there is none, or another one, here."""
+    kind = service_class(offer.type_name)
+    for message, type_hash in zip((kind.Request, kind.Response), offer.type_hashes, strict=True):
+        require_same(message, offer.type_name, type_hash)
+    return kind
 
 
 def failed_response(kind: Any, type_name: str, failure: CallFailure) -> Any:

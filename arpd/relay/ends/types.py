@@ -25,6 +25,7 @@ _GET_HASH, _GET_HASH_AT = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p), 3 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)")
 _ACTION_MESSAGES = {"_FeedbackMessage": "FeedbackMessage"}  # ending of the ROS name → its name in the action's `Impl`
 _ACTION_SERVICES = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
+_HASH = 15  # characters that tell two hashes apart
 
 
 class UnknownTypeError(Exception):
@@ -54,6 +55,15 @@ def definition_hash(kind: Any) -> str:
     support = pointer_of(type(kind)._TYPE_SUPPORT, None)  # noqa: SLF001 - where rclpy finds it, too
     version, *digits = ctypes.string_at(_GET_HASH.from_address(support + _GET_HASH_AT)(support), 33)
     return f"RIHS{version:02}_{bytes(digits).hex()}"
+
+
+def require_same(kind: Any, type_name: str, type_hash: str) -> None:
+    """Raise UnknownTypeError where a message class has another definition than the one with this hash; empty = any."""
+    if type_hash and (here := definition_hash(kind)) != type_hash:
+        raise UnknownTypeError(
+            f"{type_name} has another definition here ({here[:_HASH]}...) than there ({type_hash[:_HASH]}...); build "
+            "its package from one source on both ends, and restart them"
+        )
 
 
 def is_bulk(kind: Any) -> bool:
