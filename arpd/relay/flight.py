@@ -23,6 +23,9 @@ _GROWTH = 1.5  # times the best rate of late: a daemon may believe more than the
 _LEAST_BYTES = 12_000
 _RATE_S, _BEST_S = 0.2, 1.0
 _TRIP_S = 10.0
+# Time in which a receipt was held up on its way back, lately and at most, as by a radio that saves power: what has
+# arrived meanwhile is not on its way.
+_BACK_S, _MOST_BACK_S = 0.5, 0.1
 _PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows so soon
 _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
@@ -189,6 +192,8 @@ class Flight:
         self._progress_s = -math.inf
         self._trips = _Lowest(_TRIP_S)
         self._trip_s = 0.0
+        self._held_s = 0.0  # so long receipts were held up lately
+        self._slowest = _Lowest(_BACK_S)  # trip, negative
         self._queue_s = self._standing_s = 0.0
         self._queues = _Lowest(_STANDING_S)
         self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
@@ -218,7 +223,7 @@ class Flight:
 
     def confirm(self, receipt: Receipt, now_s: float) -> None:
         """Take a receipt of the other end."""
-        confirmed = None
+        confirmed, before = None, self._bytes
         # A chunk that DDS still repeats counts as arrived once a later one has: it takes no room on the link now.
         while self._sent and (receipt.number - self._sent[0].number) % WRAP < _HALF:
             confirmed = self._sent.popleft()
@@ -227,7 +232,11 @@ class Flight:
             return
         self._progress_s = now_s
         self._queue_s = receipt.age_us / 1e6
-        self._trip_s = self._trips.note(max(0.0, now_s - confirmed.at_s - self._queue_s), now_s)
+        took_s = max(0.0, now_s - confirmed.at_s - self._queue_s)
+        self._trip_s = self._trips.note(took_s, now_s)
+        is_prompt = before - self._bytes >= _PROMPT_BYTES  # one for fewer waits before it leaves
+        slowest_s = -self._slowest.note(-took_s if is_prompt else 0.0, now_s)
+        self._held_s = min(_MOST_BACK_S, max(0.0, slowest_s - self._trip_s - _PROMPT_S))
         self._standing_s = self._queues.note(self._queue_s, now_s)
         if self._arrivals and (receipt.received - self._arrivals[-1][1]) % WRAP > _HALF:
             self._arrivals.clear()  # another receiver counts
@@ -258,4 +267,5 @@ class Flight:
         rate = min(self._capacity, _GROWTH * max((rate for _, rate in self._bests), default=0.0))
         if self._queue_s > _QUEUED_S:
             rate = min(rate, self._rate)
-        self.window_bytes = max(_LEAST_BYTES, (_WINDOW_S + self._repair_s + self._trip_s) * rate)
+        unconfirmed_s = _WINDOW_S + self._repair_s + self._trip_s + self._held_s
+        self.window_bytes = max(_LEAST_BYTES, unconfirmed_s * rate)

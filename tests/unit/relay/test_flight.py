@@ -81,6 +81,28 @@ def test_a_queue_that_stays_on_the_link_drains():
         assert (ends.flight.relief > 1.0) == is_drained, late_s
 
 
+def test_receipts_that_are_held_up_on_their_way_take_no_room():
+    """A radio that sleeps gets its receipts by the tenth of a second, while all that it sends arrives at once."""
+    rooms = []
+    for held_s in (0.0, 0.08):
+        ends = Ends()
+        ends.flight.believe(1e6, is_lossy=False)
+        for _ in range(20):
+            receipts = []
+            for _ in range(10):
+                number = ends.flight.send(10_000, ends.now_s)
+                ends.now_s += 0.01
+                ends.received.note(7, number, int(ends.now_s * 1e6 - 5e3) % WRAP, 10_000, ends.now_s + ABROAD_S)
+                receipts.append(ends.received.take(ends.now_s + ABROAD_S))
+                if not held_s:
+                    ends.flight.confirm(receipts.pop(), ends.now_s)
+            for each in receipts:
+                ends.flight.confirm(each, ends.now_s)
+        rooms.append(ends.flight.window_bytes)
+    assert rooms[0] < 60_000
+    assert 100_000 < rooms[1] < 200_000
+
+
 def test_what_went_to_a_process_that_is_gone_holds_nothing_up():
     """After a restart of the other end sending goes on."""
     ends = Ends()
