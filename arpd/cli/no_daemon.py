@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from arpd.model.errors import NoAnswerError
 
 _ROBOT = "arpd"
+_RUNS = {"active", "reloading"}
 _JOURNAL = "see journalctl -u {0}"
-_DEAF = "no metrics: "  # as the HTTP server says in the unit's status
 _CAUSES = {
     2: "its command line is wrong: see systemctl cat {0}",
     69: f"ROS cannot be used: {_JOURNAL}",
@@ -35,7 +35,7 @@ def step_after(error: NoAnswerError) -> str:
     journal = _JOURNAL.format(_ROBOT)
     if error.is_late:
         return f"arpd.service listens, and is too busy to answer or hangs; ask again, or {journal}"
-    if robot.active in {"active", "reloading"}:
+    if robot.active in _RUNS:
         return f"arpd.service runs, but not at this address: compare http.host and http.port of its file; {journal}"
     return "arpd.service is starting; ask again in some seconds, or follow it: journalctl -fu arpd"
 
@@ -54,7 +54,7 @@ def _of_stopped(robot: ServiceState, used_on_base: list[str]) -> str:
 
 def failure(name: str, unit: ServiceState) -> str:
     """Say why a unit failed, fails again and again, or cannot listen, and what to do; empty where all is well."""
-    if (at := unit.says.find(_DEAF)) >= 0:
+    if unit.active in _RUNS and (at := unit.says.find(services.NO_METRICS)) >= 0:
         return f"{name} has {unit.says[at:]}"
     if unit.active != "failed" and not unit.is_restarted:
         return ""

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 #: arpd's own; a base computer of several robots has a peer and a far end of each robot's name.
 OF_ARPD = ("arpd", "arpd-relay", "arpd-relay-far", "arpd-relay-far@*", "arpd-peer", "arpd-peer@*")
 _OF_BASE = {"arpd-relay-far", "arpd-peer"}
+NO_METRICS = "no metrics: "  # before the reason, in what arpd says of itself where nobody can ask it
 _TIMEOUT_S = 2.0
 _PROPERTIES = "Id,LoadState,ActiveState,SubState,UnitFileState,StatusText,NRestarts,Result,ExecMainCode,ExecMainStatus"
 
@@ -29,7 +30,7 @@ class ServiceState:
     result : reason of the last end, ``success`` where nothing went wrong
     exit_code : exit code of the last main process, None where a signal ended it or none has ended
     is_restarted : whether systemd starts it again by itself, or waits to do so
-    says : what the service says of itself, empty where it does not run
+    says : what the service said of itself last; systemd keeps it when the service has ended
     """
 
     is_installed: bool

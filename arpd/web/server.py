@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
+from arpd.host.services import NO_METRICS
 from arpd.web.access import Access, HttpCounts, client_of, exposure
 from arpd.web.documents import Documents
 from arpd.web.handlers import Site
@@ -117,7 +118,7 @@ class HttpServer:
                 runner.run(self._serve(stop, tried))
         except Exception as error:
             log.exception("the HTTP server has failed; no metrics until arpd restarts")
-            self.fault = f"no metrics: {error}"
+            self.fault = f"{NO_METRICS}{error}"
         finally:
             tried.set()
 
@@ -143,7 +144,7 @@ class HttpServer:
             sockets = bind_sockets(self._http.port, self._http.host, backlog=_BACKLOG)
         except (OSError, UnicodeError, OverflowError) as error:
             why = getattr(error, "strerror", None) or error
-            fault = f"no metrics: http: cannot listen on {self._http.netloc}: {why}"
+            fault = f"{NO_METRICS}http: cannot listen on {self._http.netloc}: {why}"
             if fault != self.fault:
                 log.error(  # noqa: TRY400 - no traceback needed
                     "%s; arpd tries again. Set http.host and http.port to a free address of this machine "

@@ -87,6 +87,7 @@ STOPPED = unit("inactive", is_enabled=False)
     [
         (unit("active"), "inactive", "compare http.host"),
         (unit("active", says="x; no metrics: port taken"), "inactive", "arpd has no metrics: port taken"),
+        (unit("inactive", says="no metrics: port taken"), "inactive", "systemctl start arpd"),
         (unit("activating"), "inactive", "ask again"),
         (unit("deactivating"), "inactive", "restores the publishers"),
         (unit("activating", is_restarted=True, exit_code=1), "inactive", "exit code 1"),
