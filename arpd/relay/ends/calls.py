@@ -140,6 +140,8 @@ class Calls:
 
     def _offer(self, name: str, servers: list[Endpoint]) -> ServiceOffer | None:
         """Return the first server whose node is known, and whose writer of responses."""
+        if not servers:
+            return None  # nothing to read: the base computer's end has ghosts of all services, and few servers
         found = self._view.responders(self._side.local_name(name))
         responders = {(each.participant, each.node): each.type_hash for each in found}
         named = [server for server in servers if server.node and (server.participant, server.node) in responders]
