@@ -192,7 +192,7 @@ class Flight:
         self._progress_s = -math.inf
         self._trips = _Lowest(_TRIP_S)
         self._trip_s = 0.0
-        self._held_s = 0.0  # so long receipts were held up lately
+        self._back_s = 0.0  # so much longer than the fastest one a receipt of late was on its way back
         self._slowest = _Lowest(_BACK_S)  # trip, negative
         self._queue_s = self._standing_s = 0.0
         self._queues = _Lowest(_STANDING_S)
@@ -236,7 +236,7 @@ class Flight:
         self._trip_s = self._trips.note(took_s, now_s)
         is_prompt = before - self._bytes >= _PROMPT_BYTES  # one for fewer waits before it leaves
         slowest_s = -self._slowest.note(-took_s if is_prompt else 0.0, now_s)
-        self._held_s = min(_MOST_BACK_S, max(0.0, slowest_s - self._trip_s - _PROMPT_S))
+        self._back_s = min(_MOST_BACK_S, max(0.0, slowest_s - self._trip_s - _PROMPT_S))
         self._standing_s = self._queues.note(self._queue_s, now_s)
         if self._arrivals and (receipt.received - self._arrivals[-1][1]) % WRAP > _HALF:
             self._arrivals.clear()  # another receiver counts
@@ -267,5 +267,5 @@ class Flight:
         rate = min(self._capacity, _GROWTH * max((rate for _, rate in self._bests), default=0.0))
         if self._queue_s > _QUEUED_S:
             rate = min(rate, self._rate)
-        unconfirmed_s = _WINDOW_S + self._repair_s + self._trip_s + self._held_s
+        unconfirmed_s = _WINDOW_S + self._repair_s + self._trip_s + self._back_s
         self.window_bytes = max(_LEAST_BYTES, unconfirmed_s * rate)
