@@ -1,5 +1,6 @@
 """Services and actions across the link with real rclpy: two ends, each in a domain of its own, and nodes on both."""
 
+import platform
 import signal
 import time
 
@@ -216,7 +217,7 @@ def test_a_service_that_both_sides_serve_is_refused(world, eventually):
     ends = world("services: [/double]").start()
     far = Doubler(ends.side("robot").node("far"))
     near = Doubler(ends.side("base").node("near"))
-    words = "a node on this side serves it, too"
+    words = f"refused /double: on {platform.node()}: a node on this side serves it, too"
     eventually("an end refuses it", lambda: any(words in status for status in ends.status.values()))
     client = ends.side("base").node("user").create_client(BasicTypes, "/double")
     eventually("it is served", client.service_is_ready)
