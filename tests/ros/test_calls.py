@@ -16,9 +16,12 @@ from std_msgs.msg import UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
-from arpd.relay.calls import Kind, Record
+from arpd.relay.calls import CallBook, Kind, Record
+from arpd.relay.ends.offers import ServiceOffer
+from arpd.relay.ends.services import GhostServer, LocalClient
 from arpd.relay.envelope import decode_chunk
 from arpd.ros.cdr import wrap
+from arpd.ros.raw_reader import ReadingThread
 from tests.ros.ends_world import RELIABLE, Stranger, listen
 
 
@@ -227,3 +230,16 @@ def test_a_service_that_both_sides_serve_is_refused(world, eventually):
     eventually("the service crosses", client.service_is_ready)
     assert doubled(client, 2, eventually) == 4
     assert (near.runs, far.runs) == ([1], [2])
+
+
+def test_clients_and_servers_that_went_leave_nothing_in_their_node(ros, stack):
+    """Servers come and go for weeks, and rclpy's groups of callbacks forget nothing that was in them."""
+    node, thread = ros.idle_node("end"), ReadingThread()
+    stack.callback(thread.stop)
+    before = len(node.default_callback_group.entities)
+    book = CallBook(1, send=lambda _record, _source: None, run=lambda _call, _request: None)
+    offer = ServiceOffer(type_name="test_msgs/srv/BasicTypes", node="/server")
+    for _ in range(3):
+        LocalClient(node, offer, "/double", thread, book).destroy()
+        GhostServer(node, offer, "/double", thread, lambda _request, _header: None).destroy()
+    assert len(node.default_callback_group.entities) == before

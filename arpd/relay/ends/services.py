@@ -7,6 +7,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -86,7 +87,7 @@ class GhostServer(_Endpoint):
     ) -> None:
         self.offer, self.kind = offer, _class_of(offer)
         self._node, self._on_request = node, on_request
-        self._server = node.create_service(self.kind, name, lambda _request, answer: answer, qos_profile=_QOS)
+        self._server = node.create_service(self.kind, name, lambda _request, answer: answer, **_options())
         super().__init__(self._server, name, rcl().notify_server, thread)
 
     def read(self, announced: int) -> int:
@@ -125,7 +126,7 @@ class LocalClient(_Endpoint):
         self._node, self._book = node, book
         self._matched_s = math.inf  # when it began to see its server
         self._running: dict[int, CallId] = {}  # by the number that each request has here
-        self._client = node.create_client(self._kind, name, qos_profile=_QOS)
+        self._client = node.create_client(self._kind, name, **_options())
         super().__init__(self._client, name, rcl().notify_client, thread)
 
     def read(self, announced: int) -> int:
@@ -166,6 +167,11 @@ class LocalClient(_Endpoint):
             self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
         super().destroy()
         self._node.destroy_client(self._client)
+
+
+def _options() -> dict[str, Any]:
+    # A group of callbacks of rclpy keeps a reference to all that was ever in it, so each has one of its own.
+    return {"qos_profile": _QOS, "callback_group": ReentrantCallbackGroup()}
 
 
 def _class_of(offer: ServiceOffer) -> Any:
