@@ -297,6 +297,11 @@ class Lane:
             return self.current
         return None
 
+    def refund(self, packets: float, wire_bytes: float) -> None:
+        """Give back what a message took less of the link than planned, because others left with it."""
+        if self.price is not None and (planned_s := self.price.cost_s(self.plan)) > 0.0:
+            self._allowed.spend(min(0.0, self.price.time_s(packets, wire_bytes) / planned_s - 1.0))
+
     def ended(self, now_s: float) -> None:
         """Note that the message under way has left."""
         if self.current is not None:

@@ -269,7 +269,7 @@ class PacedQueue:
             self._virtual = max(self._virtual, min([lane.start, *(each.start for each in self._active)]))
             lane.start += part.wire_bytes / lane.weight
         if price is not None and now_s < lane.unbound_s:
-            cost_s = part.packets * price.packet_overhead_s + part.wire_bytes / price.capacity_bytes_per_second
+            cost_s = price.time_s(part.packets, part.wire_bytes)
             if lane.link_share is None and not is_first:
                 self._unplanned_s = now_s + cost_s / max(LEAST_SHARE, price.spare_share)
             debt_s = self._drain(now_s) + cost_s

@@ -73,7 +73,11 @@ class Price:
 
     def cost_s(self, plan: TopicPlan) -> float:
         """Return a, the link time of one sample (s)."""
-        return plan.packets * self.packet_overhead_s + plan.wire_bytes / self.capacity_bytes_per_second
+        return self.time_s(plan.packets, plan.wire_bytes)
+
+    def time_s(self, packets: float, wire_bytes: float) -> float:
+        """Return what packets with so many bytes take of the link (s)."""
+        return packets * self.packet_overhead_s + wire_bytes / self.capacity_bytes_per_second
 
     def floor_hz(self, plan: TopicPlan) -> float:
         """Return the floor that the link leaves one publisher (Hz)."""

@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import Lane, UnderWay
-from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, SOON_S, PacedQueue, Part, Ready, Times
+from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
@@ -238,7 +238,7 @@ class LinkQueue(PacedQueue):
             return super()._leave(lane, now_s, is_first=is_first)
         first = self._turns.first.together.ready(now_s)
         boarding = {lane: is_first, **{each: True for each in first if each is not lane}}
-        if self._free_s(now_s) <= now_s + SOON_S:
+        if self._free_s(now_s) <= now_s + self._company_s:
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
@@ -264,6 +264,7 @@ class LinkQueue(PacedQueue):
         for each, sample in aboard:
             share = Part(sample, len(sample) + shared, part.packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
+            each.refund(share.packets, share.wire_bytes)
         return Ready(self._coach, part.sample)
 
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:

@@ -16,7 +16,7 @@ from arpd.relay.link_queue import LinkQueue
 from tests.examples import examples
 from tests.unit.relay.test_link_queue import CAPACITY, ROW, Link, loads, price_of
 
-JUST_S = 1e-6
+JUST_S, SLOW = 1e-6, CAPACITY / 4
 ROWS = [
     TopicPlan(rate_hz=rate_hz, min_rate_hz=0.2, deadline_ns=0, depth=1, weight=1.0, wire_bytes=900.0, packets=1)
     for rate_hz in (0.5, 3.0, 200.0)
@@ -105,6 +105,37 @@ def test_many_small_topics_fill_a_link_that_they_overload():
         link.after(0.0005 * number, partial(link.publish, name, 50.0, 400))
     link.run(2.0)
     assert link.run(5.0).total() / 5.0 > 0.9
+
+
+def withheld_beside_cameras(share, *topics):
+    """Return what topics with this rate, size and wire size lose in 3 s, and how many pictures of two cameras cross."""
+    link = Link(capacity=SLOW)
+    price = replace(price_of(share), capacity_bytes_per_second=SLOW, budget_share=0.85)
+    for number, (rate_hz, size, wire_bytes) in enumerate(topics):
+        link.lane(
+            number, replace(ROW, rate_hz=1.25 * rate_hz, wire_bytes=wire_bytes, packets=1), price, has_company=True
+        )
+        link.after(0.0007 * number, partial(link.publish, number, rate_hz, size))
+    for camera in ("left", "right"):
+        link.lane(camera, ROW, price)
+        link.publish(camera, 30.0)
+    link.run(3.0)
+    pictures = len(link.arrived["left"] + link.arrived["right"])
+    return sum(link.lanes[number].withheld.total() for number in range(len(topics))), pictures
+
+
+def test_topics_that_share_packets_are_charged_for_what_they_take():
+    """A price that leaves 345 Hz in packets of their own to a topic of 500 Hz costs it nothing in those of others."""
+    withheld, pictures = withheld_beside_cameras(0.2, (250.0, 350, 540.0), (500.0, 110, 300.0))
+    assert withheld < 30
+    assert pictures > 5
+
+
+def test_messages_beyond_their_rate_join_those_that_leave():
+    """Others leave all the time, and each time the link has just been taken by a picture."""
+    withheld, pictures = withheld_beside_cameras(0.035, *20 * [(50.0, 120, 320.0)], *8 * [(100.0, 120, 320.0)])
+    assert withheld < 30
+    assert pictures > 5
 
 
 def test_a_large_message_makes_way_for_a_moment_while_small_ones_wait_for_the_processor():
