@@ -79,6 +79,7 @@ class UnderWay:
     message: bytes
     number: int = 0  # of its first chunk, which names it
     offset: int = 0
+    is_freight: bool = False
 
 
 class Lane:
@@ -101,6 +102,7 @@ class Lane:
     claimant : thread that is at its writer, so that no other one may be; the owner of the threads sets it
     is_closing : whether nobody may publish any more; the same owner sets it
     blocked_s : time inside its writer, which the same owner counts (s)
+    may_be_freight : whether its messages may leave on a writer of several topics; its queue sets it
     """
 
     def __init__(
@@ -126,6 +128,7 @@ class Lane:
         self.claimant: int | None = None
         self.is_closing = False
         self.blocked_s = 0.0
+        self.may_be_freight = False
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
         self.rate_hz = math.inf

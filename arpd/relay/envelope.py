@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _CHUNK = struct.Struct("<IIIIIIB")
 _RECORD = struct.Struct("<8sIQ")
+_WRITER_BYTES = 8
 #: What a chunk adds to the part of the message in it (bytes).
 CHUNK_HEADER_BYTES = ARRAY.size + _CHUNK.size
 MOST_MESSAGE_BYTES = 2**26
@@ -102,29 +103,32 @@ def decode_chunk(sample: bytes) -> Chunk:
 
 
 class Assembly:
-    """Puts the chunks of one topic on the link together: a message is whole, or it is not delivered.
+    """Puts the chunks of one writer on the link together: a message is whole, or it is not delivered.
 
-    Its chunks come in their order, from one writer at a time; a lost one ends its message.
+    The chunks of each message come in their order; a lost one ends its message. Those of several topics come by turns.
+    Where more than the largest message lacks its end, what waited longest for a chunk gives way.
     """
 
     def __init__(self) -> None:
-        self._key = self._ended = (-1, -1)
-        self._parts: list[bytes] = []
-        self._bytes = 0
+        self._ended = (-1, -1)
+        self._begun: dict[tuple[int, int], bytearray] = {}
 
     def add(self, chunk: Chunk) -> bytes | None:
         """Return the message that this chunk completes, None before its end."""
-        if self._ended == (chunk.session, chunk.message):
+        if self._ended == (key := (chunk.session, chunk.message)):
             return None  # doubled
-        if chunk.offset == 0:
-            self._key, self._parts, self._bytes = (chunk.session, chunk.message), [], 0
-        elif self._key != (chunk.session, chunk.message) or self._bytes != chunk.offset:
-            self._parts, self._bytes = [], 0
+        if chunk.offset == 0:  # another one of its writer will never end
+            writer = chunk.part[:_WRITER_BYTES]
+            self._begun = {each: part for each, part in self._begun.items() if part[:_WRITER_BYTES] != writer}
+            self._begun[key] = bytearray()
+        begun = self._begun.pop(key, None)
+        if begun is None or len(begun) != chunk.offset:
             return None
-        self._parts.append(chunk.part)
-        self._bytes += len(chunk.part)
-        if self._bytes < chunk.total:
-            return None
-        self._ended = self._key
-        message, self._parts, self._bytes = b"".join(self._parts), [], 0
-        return message
+        begun += chunk.part
+        if len(begun) == chunk.total:
+            self._ended = key
+            return bytes(begun)
+        self._begun[key] = begun
+        while sum(map(len, self._begun.values())) > MOST_MESSAGE_BYTES:
+            del self._begun[next(iter(self._begun))]
+        return None

@@ -29,6 +29,8 @@ _BACK_S, _MOST_BACK_S = 0.5, 0.1
 _PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows so soon
 _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
+# Freight of which something is missing for so long does not arrive, and then the next one waits at first so long.
+_STUCK_S, _HOLD_S, _MOST_HOLD_S = 0.3, 60.0, 3600.0
 _HALF = WRAP // 2
 _SIGN = struct.Struct("<BIIIIIIII")
 _VERSION = 3
@@ -166,8 +168,40 @@ class Received:
 
 class _Sent(NamedTuple):
     number: int
-    size: int
+    wire_bytes: int
     at_s: float
+    counted: int
+
+
+class Freight:
+    """Tells whether datagrams of several packets arrive.
+
+    Some networks drop what IP has cut, and a kernel that is full of halves drops all of it.
+
+    Attributes
+    ----------
+    held_until_s : until then none should leave (s)
+    """
+
+    def __init__(self) -> None:
+        self.held_until_s = self._sent_s = -math.inf
+        self._hold_s = _HOLD_S
+        self._missing = _Lowest(_STUCK_S)
+        self._lost = 0.0  # bytes that are missing for good
+
+    def send(self, now_s: float) -> None:
+        """Note that one leaves."""
+        self._sent_s = now_s
+
+    def note_missing(self, missing: int, now_s: float) -> None:
+        """Take the bytes that are missing before the highest chunk that has arrived."""
+        least = self._missing.note(missing, now_s)
+        if now_s < self.held_until_s or now_s - self._sent_s > 2.0 * _STUCK_S or least < self._lost:
+            self._lost = least
+        elif least > self._lost:
+            is_soon = now_s - self.held_until_s < self._hold_s
+            self._hold_s = min(2.0 * self._hold_s, _MOST_HOLD_S) if is_soon else _HOLD_S
+            self.held_until_s = now_s + self._hold_s
 
 
 class Flight:
@@ -188,7 +222,8 @@ class Flight:
         self.out_s = math.inf
         self._sent: deque[_Sent] = deque()
         self._bytes = 0
-        self._number = 0
+        self._number = self._counted = 0
+        self.freight = Freight()
         self._progress_s = -math.inf
         self._trips = _Lowest(_TRIP_S)
         self._trip_s = 0.0
@@ -205,6 +240,7 @@ class Flight:
         self._sent.clear()
         self._arrivals.clear()
         self._bytes, self._queue_s, self._rate = 0, 0.0, 0.0
+        self._counted = 0
         self._bound()
 
     def believe(self, capacity: float, *, is_lossy: bool) -> None:
@@ -212,13 +248,22 @@ class Flight:
         self._capacity, self._repair_s = capacity, _REPAIR_S if is_lossy else 0.0
         self._bound()
 
-    def send(self, size: int, now_s: float) -> int:
-        """Count a chunk that leaves now; return its number."""
+    def send(self, wire_bytes: int, now_s: float, *, size: int, is_freight: bool = False) -> int:
+        """Count a chunk that leaves now; return its number.
+
+        Parameters
+        ----------
+        size : what the other end's receipts count of it (bytes)
+        is_freight : whether it is one datagram of several packets
+        """
         self._number = (self._number + 1) % WRAP
+        self._counted = (self._counted + size) % WRAP
+        if is_freight:
+            self.freight.send(now_s)
         if not self._sent:
             self.out_s = now_s + _OUT_S + self._trip_s
-        self._sent.append(_Sent(self._number, size, now_s))
-        self._bytes += size
+        self._sent.append(_Sent(self._number, wire_bytes, now_s, self._counted))
+        self._bytes += wire_bytes
         return self._number
 
     def confirm(self, receipt: Receipt, now_s: float) -> None:
@@ -227,9 +272,10 @@ class Flight:
         # A chunk that DDS still repeats counts as arrived once a later one has: it takes no room on the link now.
         while self._sent and (receipt.number - self._sent[0].number) % WRAP < _HALF:
             confirmed = self._sent.popleft()
-            self._bytes -= confirmed.size
+            self._bytes -= confirmed.wire_bytes
         if confirmed is None:
             return
+        self.freight.note_missing((confirmed.counted - receipt.received + _HALF) % WRAP - _HALF, now_s)
         self._progress_s = now_s
         self._queue_s = receipt.age_us / 1e6
         took_s = max(0.0, now_s - confirmed.at_s - self._queue_s)

@@ -6,10 +6,17 @@ import math
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from arpd.endpoint.lane import Lane, UnderWay
+from arpd.endpoint.lane import SMALL_BYTES, Lane, UnderWay
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
-from arpd.model.wire import CLEAN_LOSS_RATIO, FRAGMENT_BYTES, LINK_HEARTBEAT_S, wire_size
+from arpd.model.wire import (
+    CLEAN_LOSS_RATIO,
+    FRAGMENT_BYTES,
+    LINK_HEARTBEAT_S,
+    datagram_payload,
+    datagram_size,
+    wire_size,
+)
 from arpd.relay.envelope import CHUNK_HEADER_BYTES, MOST_MESSAGE_BYTES, WRAP, Chunk, decode_chunk, encode_chunk
 from arpd.relay.flight import SIGN_BYTES, Flight, Received, Sign, decode_sign, encode_sign
 from arpd.relay.partner import EVERY_S, REPLACED_S
@@ -44,12 +51,17 @@ class LinkQueue(PacedQueue):
     acknowledgement would be the larger part. Those that come within the time of two packets, 2 to 5 ms, wait for each
     other; a message that comes after a pause waits for none.
 
+    Where the link loses next to nothing, each chunk of a large message is one datagram, which IP cuts into packets: of
+    the headers of the middleware that is one instead of several, so a tenth more crosses. Else Fast DDS cuts it: one
+    lost packet would cost the datagram, and the other end's kernel keeps what is left of each for half a minute.
+
     Signs of life go past the queue. They carry the receipts of both ends.
 
     Parameters
     ----------
     now_s : when it begins (s)
     together : writes the messages that leave together
+    freight : writes a chunk of any topic in one datagram
     asleep_s : returns how long this computer has slept, when the clock stood still: by a clock that stands still at one
         end alone, all samples afterwards would be as old as the sleep was long (s)
 
@@ -67,12 +79,15 @@ class LinkQueue(PacedQueue):
         now_s: float,
         *,
         together: Callable[[bytes], None],
+        freight: Callable[[bytes], None],
         asleep_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         super().__init__()
         self._session, self._asleep_s = session, asleep_s
         self.flight = Flight()
-        self._coach = Lane(together)
+        self._coach, self._freight = Lane(together), Lane(freight)
+        self._carrier = self._freight  # whose writer takes the chunk that leaves
+        self._is_clean = False
         self._turns = Turns(super()._finish)
         self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
@@ -101,7 +116,7 @@ class LinkQueue(PacedQueue):
         if is_probing:
             is_short = now_s - self.flight.out_s < _PROMPT_S
             self._probe_s = now_s + (_PROBE_S if is_short else EVERY_S)
-            number = self.flight.send(SIGN_BYTES, now_s)
+            number = self.flight.send(SIGN_BYTES, now_s, size=0)
         return encode_sign(Sign(self._session, number, self._departed_us(now_s), self._received.take(now_s)))
 
     @property
@@ -123,15 +138,19 @@ class LinkQueue(PacedQueue):
         self.flight.restart()
         return True
 
-    def arrived(self, sample: bytes, now_s: float, *, is_together: bool = False) -> tuple[Chunk, float]:
+    def arrived(
+        self, sample: bytes, now_s: float, *, is_shared: bool = False, is_freight: bool = False
+    ) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; return it, and its age (s). Raises ValueError if the sample holds none.
 
         Parameters
         ----------
-        is_together : whether it holds small messages, whose writer asks seldom for an acknowledgement
+        is_shared : whether it comes from a writer of several topics, which asks seldom for an acknowledgement
+        is_freight : whether that wrote it in one datagram
         """
         chunk, size = decode_chunk(sample), len(sample)
-        self._received_bytes += wire_size(size, rate_hz=math.inf if chunk.offset or is_together else 0.0)[0]
+        rate_hz = math.inf if chunk.offset or is_shared else 0.0
+        self._received_bytes += (datagram_size(size) if is_freight else wire_size(size, rate_hz=rate_hz))[0]
         if not self._is_of_partner(chunk.session, now_s):
             return chunk, 0.0
         arrived_s = now_s + self._asleep_s()
@@ -145,7 +164,7 @@ class LinkQueue(PacedQueue):
             self.flight.confirm(sign.receipt, now_s)
         arrived_s = now_s + self._asleep_s()
         if sign.number and is_of_partner:
-            self._received.note(sign.session, sign.number, sign.departed_us, SIGN_BYTES, arrived_s)
+            self._received.note(sign.session, sign.number, sign.departed_us, 0, arrived_s)
             self._is_answering = True
         self._received.hear(sign.session, sign.departed_us, arrived_s)
         return sign.session
@@ -190,6 +209,8 @@ class LinkQueue(PacedQueue):
         if lane.has_company and len(message) > _TOGETHER_BYTES:
             self._turns.drop(lane)
             lane.has_company = False  # for good: a later small one must not overtake it on another writer
+        if len(message) > SMALL_BYTES and not lane.is_kept:
+            lane.may_be_freight = True  # for good, too
         self._turns.touch(lane)
 
     def take(self, now_s: float) -> Ready | None:
@@ -235,7 +256,8 @@ class LinkQueue(PacedQueue):
     def _leave(self, lane: Lane, now_s: float, *, is_first: bool) -> Ready | None:
         """Return the message of a lane, and what leaves together with it; None where all that waited had expired."""
         if not lane.has_company:
-            return super()._leave(lane, now_s, is_first=is_first)
+            ready = super()._leave(lane, now_s, is_first=is_first)
+            return ready and ready._replace(lane=self._carrier)
         first = self._turns.first.together.ready(now_s)
         boarding = {lane: is_first, **{each: True for each in first if each is not lane}}
         if self._free_s(now_s) <= now_s + self._company_s:
@@ -292,11 +314,19 @@ class LinkQueue(PacedQueue):
             self._turns.touch(lane)
 
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
+        if current.is_freight and now_s < self.flight.freight.held_until_s:
+            current.offset = 0  # what has left of it does not arrive
         message, offset = current.message, current.offset
-        part = message[offset:] if is_first else message[offset : offset + self._chunk_bytes]
-        wire_bytes, packets = wire_size(len(part) + CHUNK_HEADER_BYTES, rate_hz=math.inf)
-        wire_bytes += self._asking_bytes(lane, now_s)
-        number = self.flight.send(int(wire_bytes), now_s)
+        if offset == 0:  # to the end of the message, because writers overtake each other
+            is_held = now_s < self.flight.freight.held_until_s
+            current.is_freight = lane.may_be_freight and self._is_clean and not is_held
+        self._carrier = self._freight if current.is_freight else lane
+        chunk_bytes = self._freight_bytes if current.is_freight else self._chunk_bytes
+        part = message[offset:] if is_first else message[offset : offset + chunk_bytes]
+        size = len(part) + CHUNK_HEADER_BYTES
+        wire_bytes, packets = datagram_size(size) if current.is_freight else wire_size(size, rate_hz=math.inf)
+        wire_bytes += self._asking_bytes(self._carrier, now_s)
+        number = self.flight.send(int(wire_bytes), now_s, size=size, is_freight=current.is_freight)
         if offset == 0:
             current.number = number
         current.offset += len(part)
@@ -332,10 +362,12 @@ class LinkQueue(PacedQueue):
         """Let a chunk take its time of the link; None = no daemon is heard."""
         capacity = math.inf if price is None else price.capacity_bytes_per_second
         is_lossy = price is not None and (price.loss_ratio or 0.0) >= CLEAN_LOSS_RATIO
+        self._is_clean = price is not None and price.loss_ratio is not None and not is_lossy
         self.flight.believe(capacity, is_lossy=is_lossy)
         packets = _UNKNOWN_PACKETS if price is None else round(_CHUNK_S * capacity / FRAGMENT_BYTES)
         packets = min(max(packets, _LEAST_PACKETS), _MOST_PACKETS)
         self._chunk_bytes = packets * FRAGMENT_BYTES - CHUNK_HEADER_BYTES
+        self._freight_bytes = datagram_payload(packets) - CHUNK_HEADER_BYTES
         # For messages that leave together: a lost packet holds them all up.
         self._room = _TOGETHER_BYTES if is_lossy else self._chunk_bytes
         self._company_s = min(_COMPANY_S, max(_LEAST_COMPANY_S, _COMPANY_PACKETS * FRAGMENT_BYTES / capacity))

@@ -44,8 +44,11 @@ class SimulatedEnd(SimulatedThread):
         self._there, self.back = there, back
         # Its participant waits for no write: what a full socket does not take is sent again.
         self.socket = Socket(timeline, there, room_bytes=math.inf)
-        small = SimulatedWriter(self.socket, back, self._on_small, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
-        super().__init__(timeline, LinkQueue(session, timeline.now_s, together=small.publish))
+        writer = partial(SimulatedWriter, self.socket, back, qos=_LINK_QOS, heartbeat_s=LINK_HEARTBEAT_S)
+        small, large = writer(self._on_small), writer(self._on_large, is_freight=True)
+        queue = LinkQueue(session, timeline.now_s, together=small.publish, freight=large.publish)
+        super().__init__(timeline, queue)
+        self._assembly = Assembly()  # of freight, at the other end
         self._writers: dict[bytes, Callable[[Record], None]] = {}  # what takes a writer's samples at the other end
         self.other: SimulatedEnd = self
 
@@ -58,15 +61,22 @@ class SimulatedEnd(SimulatedThread):
         """Let a function take a writer's small samples at the other end."""
         self._writers[writer] = deliver
 
-    def arrived(self, sample: bytes, *, is_together: bool = False) -> Chunk:
+    def arrived(self, sample: bytes, **how: bool) -> Chunk:
         """Account for a chunk of the other end."""
-        chunk, _ = self.queue.arrived(sample, self.timeline.now_s, is_together=is_together)
+        chunk, _ = self.queue.arrived(sample, self.timeline.now_s, **how)
         self.run()
         return chunk
 
     def _on_small(self, sample: bytes) -> None:
         """Deliver small messages that left together."""
-        for record in unpack(self.other.arrived(sample, is_together=True).part):
+        self._deliver(self.other.arrived(sample, is_shared=True).part)
+
+    def _on_large(self, sample: bytes) -> None:
+        message = self._assembly.add(self.other.arrived(sample, is_shared=True, is_freight=True))
+        self._deliver(message or b"")
+
+    def _deliver(self, message: bytes) -> None:
+        for record in unpack(message):
             self._writers[record.writer](record)
 
     def hear(self, sign: bytes) -> None:

@@ -6,7 +6,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, wire_size
+from arpd.model.wire import ACKNACK_BYTES, HEARTBEAT_BYTES, datagram_size, wire_size
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,6 +79,7 @@ class SimulatedWriter:
     arrive : takes each sample from the wire; the middleware may hold it back until older ones arrive
     qos : depth (samples); the deadline changes nothing here
     heartbeat_s : period of the heartbeat while a sample is unacknowledged (s)
+    is_freight : whether each sample is one datagram, of which no part arrives alone
     """
 
     def __init__(
@@ -90,7 +91,9 @@ class SimulatedWriter:
         arrive: Take = lambda _sample: None,
         qos: WriterQos,
         heartbeat_s: float,
+        is_freight: bool = False,
     ) -> None:
+        self._is_freight = is_freight
         self._timeline, self._there, self._back = socket.timeline, socket.carrier, back
         self._socket = socket
         self._depth = qos.depth
@@ -147,7 +150,10 @@ class SimulatedWriter:
         """Send what is missing of a sample."""
         asked = (self._first, self._last) if len(self._history) >= self._depth else None
         is_again = number in self._missing
-        wire_bytes, all_packets = wire_size(len(self._history[number]), rate_hz=math.inf)
+        size = len(self._history[number])
+        wire_bytes, all_packets = datagram_size(size) if self._is_freight else wire_size(size, rate_hz=math.inf)
+        if self._is_freight:
+            self._missing[number] = all_packets
         packets = self._missing.setdefault(number, all_packets)
         self._settled_at_s[number] = math.inf
         self._socket.send(

@@ -282,10 +282,10 @@ def test_a_history_waits_for_the_reader_of_the_living_process(world, eventually)
 
 def test_an_end_of_another_version_is_named(world, eventually, monkeypatch):
     """An end that speaks another version is named with both versions, and nothing crosses."""
-    monkeypatch.setattr("arpd.relay.ends.offers.VERSION", 9)
+    monkeypatch.setattr("arpd.relay.ends.offers.VERSION", 99)
     ends = world().start("robot")
     Stranger(ends.side("link").node("stranger"), arpd="9.9")
-    words = f"it speaks version 9 (arpd 9.9), this end version {VERSION}"
+    words = f"it speaks version 99 (arpd 9.9), this end version {VERSION}"
     eventually("both versions are named", lambda: words in ends.status["robot"])
 
 

@@ -22,7 +22,7 @@ from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link import LINK_QOS, LinkReader, LinkThread, lasting_s
+from arpd.relay.ends.link import LINK_QOS, FreightWriter, LinkReader, LinkThread, lasting_s
 from arpd.relay.ends.link_topic import LinkTopic
 from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
@@ -111,7 +111,14 @@ class End:
             )
             for ending, qos in (("", _LATCHED), ("/small", LINK_QOS), ("/alive", _ALIVE), ("/calls", LINK_QOS))
         )
-        self.link = LinkThread(session, state=states.publish, sign=signs.publish, together=small.publish)
+        self._freight = FreightWriter(link_node, f"/arpd/relay/{role}/large")
+        self.link = LinkThread(
+            session,
+            state=states.publish,
+            sign=signs.publish,
+            together=small.publish,
+            freight=self._freight.publish,
+        )
         # Two reading threads, so that what comes from the link does not wait for the nodes here; calls have a third.
         self._reading = thread = ReadingThread()
         chunks = partial(LinkReader, link_node, link=self.link, thread=thread)
@@ -142,7 +149,8 @@ class End:
         self._readers: list[RawReader] = [
             reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
-            chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
+            chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_shared=True),
+            chunks(f"/arpd/relay/{other}/large", deliver=self.incoming.deliver, is_shared=True, is_freight=True),
             chunks(
                 f"/arpd/relay/{other}/calls",
                 deliver=lambda record, chunk, _age_s: self._calls.arrived(chunk.session, record),
@@ -195,6 +203,7 @@ class End:
         self._calls.offered = services, self._there.session if is_reachable and not self._is_shared else None
         self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
+        self._freight.follow(self.link.queue.flight.freight.held_until_s)
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
         if is_due:

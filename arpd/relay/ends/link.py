@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from arpd.relay.link_queue import LinkQueue
 from arpd.ros.cdr import wrap
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
+from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 #: Reliable. The thread takes samples at once, so this bridges its scheduling only; and calls repeat themselves.
 LINK_QOS = QoSProfile(depth=1000)
+#: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
+LINK_DEPTH = 400
 
 
 class LinkThread(WritingThread):
@@ -37,6 +41,7 @@ class LinkThread(WritingThread):
     state : writes a state of the end, reliably
     sign : writes one sign of life, best effort
     together : writes small messages that leave together, reliably
+    freight : writes chunks in datagrams, reliably
 
     Attributes
     ----------
@@ -51,9 +56,14 @@ class LinkThread(WritingThread):
         state: Callable[[bytes], None],
         sign: Callable[[bytes], None],
         together: Callable[[bytes], None],
+        freight: Callable[[bytes], None],
     ) -> None:
         self.queue = LinkQueue(
-            session, time.monotonic(), together=together, asleep_s=lambda: lasting_s() - time.monotonic()
+            session,
+            time.monotonic(),
+            together=together,
+            freight=freight,
+            asleep_s=lambda: lasting_s() - time.monotonic(),
         )
         super().__init__(self.queue, name="arpd-link", warn=log.error)
         self._write_state, self._write_sign = state, sign
@@ -83,10 +93,10 @@ class LinkThread(WritingThread):
         with self._changed:
             self.queue.make_way(self._clock())
 
-    def arrived(self, sample: bytes, *, is_together: bool = False) -> tuple[Chunk, float]:
+    def arrived(self, sample: bytes, **how: bool) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; `LinkQueue.arrived` says more."""
         with self._changed:
-            arrived = self.queue.arrived(sample, self._clock(), is_together=is_together)
+            arrived = self.queue.arrived(sample, self._clock(), **how)
             self._wake(self.queue.sign_s)
         return arrived
 
@@ -116,15 +126,46 @@ def lasting_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
+class FreightWriter:
+    """Writes chunks in datagrams, and begins again where these do not arrive: DDS would repeat them for ever.
+
+    Parameters
+    ----------
+    topic : in the domain of the link; arpd's Fast DDS profile has settings for it
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node, self._topic = node, topic
+        self._held_until_s = -math.inf
+        self._make()
+
+    def publish(self, chunk: bytes) -> None:
+        """Write a chunk."""
+        self._outlet.publish(chunk)
+
+    def follow(self, held_until_s: float) -> None:
+        """Drop what has not arrived where freight is held anew, until then (s)."""
+        if held_until_s > self._held_until_s:
+            self._held_until_s, before = held_until_s, self._publisher
+            self._make()
+            self._node.destroy_publisher(before)
+            log.warning("the link loses datagrams of several packets; large samples cross in packets for a while")
+
+    def _make(self) -> None:
+        qos = QoSProfile(depth=LINK_DEPTH)
+        self._publisher = self._node.create_publisher(UInt8MultiArray, self._topic, qos, event_callbacks=NO_EVENTS)
+        self._outlet = Outlet(self._publisher.handle)
+
+
 class LinkReader(RawReader):
-    """Puts the messages of one topic of the other end together.
+    """Puts the messages of one topic, or of several, of the other end together.
 
     Parameters
     ----------
     node, topic : in the domain of the link
     deliver : called in the thread with each message, its last chunk, and the age of that (s); ValueError = no such
         message. It must not wait: the receipts of all chunks would come late, as if the link was out
-    is_together : whether its messages hold small ones of several topics
+    how : of its chunks, as `LinkQueue.arrived` takes it
     """
 
     def __init__(
@@ -135,16 +176,16 @@ class LinkReader(RawReader):
         link: LinkThread,
         thread: ReadingThread,
         deliver: Callable[[bytes, Chunk, float], None],
-        is_together: bool = False,
+        **how: bool,
     ) -> None:
-        self._account, self._pass_on, self._is_together = link, deliver, is_together
+        self._account, self._pass_on, self._how = link, deliver, how
         self._assembly = Assembly()
         self._logged = OncePerMinute()
         super().__init__(node, UInt8MultiArray, topic, LINK_QOS, deliver=self._take, thread=thread)
 
     def _take(self, sample: Sample) -> None:
         try:
-            chunk, age_s = self._account.arrived(sample.data, is_together=self._is_together)
+            chunk, age_s = self._account.arrived(sample.data, **self._how)
             if (message := self._assembly.add(chunk)) is not None:
                 self._pass_on(message, chunk, age_s)
         except ValueError as fault:

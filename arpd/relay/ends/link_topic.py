@@ -14,6 +14,7 @@ from arpd.endpoint.lane import Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
+from arpd.relay.ends.link import LINK_DEPTH
 from arpd.relay.ends.outgoing import Carried
 from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
 _LATE_S = 0.1  # the thread that reads waits for the processor: a scheduler takes less
-#: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
-LINK_DEPTH = 400
 
 
 class LinkTopic(Carried):

@@ -70,6 +70,26 @@ def test_a_firewall_must_let_in_the_ports_that_the_status_names(hosts):
     eventually("the topic crosses", lambda: "/pictures" in hosts.text("planner"))
 
 
+def test_pictures_go_on_where_no_datagram_of_several_packets_arrives_any_more(hosts):
+    """The robot's end says so, and sends packets; DDS itself meets nobody in such a network."""
+    two_ends(hosts)
+    hosts.start("robot", "run", "arpd", "run", "--config", "arpd.yaml", **CONFINED)
+    hosts.start("base", "peer", "arpd", "peer", "--config", "arpd.yaml", **CONFINED)
+    hosts.node("robot", "camera", "write:/pictures:std_msgs/String:60000", **CONFINED)
+    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **CONFINED)
+
+    def go_on():
+        before = hosts.text("planner").count("/pictures")
+        eventually("pictures cross", lambda: hosts.text("planner").count("/pictures") > before + 20)
+
+    eventually("the link is known to be clean", lambda: hosts.metric("arpd_link_loss_ratio") == 0.0)
+    go_on()
+    drop = "table ip f { chain p { type filter hook prerouting priority -450; ip frag-off & 0x3fff != 0 drop; }; }"
+    nft(hosts, hosts.base, drop)
+    eventually("the loss is said", lambda: "the link loses datagrams" in hosts.text("near"))
+    go_on()
+
+
 def test_topics_of_the_other_computer_do_not_cross_to_be_measured(hosts):
     """The robot's topic is measured; the base computer's, which nobody on the robot reads, stays where it is."""
     for host, name, topic in (("robot", "camera", "/pictures"), ("base", "planner", "/plans")):

@@ -115,3 +115,24 @@ def test_nothing_is_torn_and_nothing_doubled(messages, fates, restart):
     found = [message for message in found if message is not None and set(message) != {255}]
     assert set(untouched) <= set(found) <= set(sent)
     assert found == sorted(set(found))
+
+
+@given(st.lists(st.integers(2, 60), min_size=1, max_size=6), st.randoms())
+def test_messages_that_cross_by_turns_are_put_together(lengths, random):
+    """Each message is whole; what begins anew of the same writer takes the place of what was torn."""
+    messages = [bytes([place]) * 8 + bytes(length) for place, length in enumerate(lengths)]
+    torn = [cut(message, 9, session=7, number=place)[0] for place, message in enumerate(messages)]
+    left = [cut(message, 9, session=7, number=100 + place) for place, message in enumerate(messages)]
+    assembly, found = Assembly(), []
+    assert not any(map(assembly.add, torn))
+    while left:
+        chunks = random.choice(left)
+        found += [message] if (message := assembly.add(chunks.pop(0))) else []
+        left = [each for each in left if each]
+    assert sorted(found) == messages
+    assert not any(
+        map(
+            assembly.add,
+            [chunk for place in range(len(lengths)) for chunk in cut(messages[place], 9, session=7, number=place)[1:]],
+        )
+    )

@@ -21,7 +21,7 @@ class Ends:
         self.on_way = []
 
     def send(self, size=1000):
-        self.on_way.append((self.flight.send(size, self.now_s), size, self.now_s))
+        self.on_way.append((self.flight.send(size, self.now_s, size=size), size, self.now_s))
 
     def confirm(self, chunks):
         """Let the oldest chunks arrive, and a receipt for them."""
@@ -90,7 +90,7 @@ def test_receipts_that_are_held_up_on_their_way_take_no_room():
         for _ in range(20):
             receipts = []
             for _ in range(10):
-                number = ends.flight.send(10_000, ends.now_s)
+                number = ends.flight.send(10_000, ends.now_s, size=10_000)
                 ends.now_s += 0.01
                 ends.received.note(7, number, int(ends.now_s * 1e6 - 5e3) % WRAP, 10_000, ends.now_s + ABROAD_S)
                 receipts.append(ends.received.take(ends.now_s + ABROAD_S))

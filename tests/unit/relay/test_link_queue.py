@@ -40,7 +40,12 @@ class Link:
         self.capacity = capacity
         self.now_s = 4290.0  # the µs of its clock wrap after 5 s
         self.received = Received()
-        self.queue = LinkQueue(7, self.now_s, together=partial(self.write, "together", Assembly()))
+        self.queue = LinkQueue(
+            7,
+            self.now_s,
+            together=partial(self.write, "together", Assembly()),
+            freight=partial(self.write, "freight", Assembly()),
+        )
         self.flight = self.queue.flight
         self.lanes, self.sent_s, self.arrived = {}, Counter(), defaultdict(list)
         self.events, self.order, self.free_s = [], count(), 0.0
@@ -73,7 +78,7 @@ class Link:
 
     def confirm_all(self):
         """Let a probe arrive, and with it all that left before."""
-        self.flight.confirm(Receipt(session=7, number=self.flight.send(33, self.now_s)), self.now_s)
+        self.flight.confirm(Receipt(session=7, number=self.flight.send(33, self.now_s, size=0)), self.now_s)
 
     def run(self, for_s):
         """Return how much of the link's time each topic took (s)."""
@@ -261,7 +266,7 @@ def test_of_what_waited_when_an_outage_began_the_newest_leaves():
     link = Link()
     tf = link.lane("tf")
     while link.flight.has_room(is_small=True):
-        link.flight.send(1000, link.now_s)
+        link.flight.send(1000, link.now_s, size=1000)
     for number in range(6):
         link.offer("tf", bytes(number), source=number % 2)
     link.now_s += 0.5
@@ -347,7 +352,7 @@ def test_the_thread_wakes_by_itself_for_what_quick_topics_will_bring():
 
 def test_another_robots_end_in_the_link_domain_spoils_no_account():
     """While the other end speaks, only its chunks and probes are receipted; when it is silent, its successor's are."""
-    end = LinkQueue(1, 0.0, together=lambda _sample: None)
+    end = LinkQueue(1, 0.0, together=lambda _sample: None, freight=lambda _sample: None)
     other, stranger, successor = 2, 3, 4
 
     def sends(session, number, now_s):
@@ -357,7 +362,7 @@ def test_another_robots_end_in_the_link_domain_spoils_no_account():
         return decode_sign(end.take_sign(now_s)).receipt
 
     end.follow(other, 0.0)
-    sent = end.flight.send(1000, 0.0)
+    sent = end.flight.send(1000, 0.0, size=1000)
     for each, is_on_its_way in ((stranger, True), (other, False)):  # both read what is sent
         end.hear(encode_sign(Sign(each, receipt=Receipt(session=1, number=sent, at_us=1))), 0.1)
         assert math.isfinite(end.flight.out_s) == is_on_its_way
@@ -377,8 +382,8 @@ def test_another_robots_end_in_the_link_domain_spoils_no_account():
 def test_after_hours_in_which_nothing_crossed_a_sample_is_as_old_as_it_is(drift, slept_s):
     """In hours the clocks of two hosts part by a second, and that of a laptop stands still while it sleeps."""
     asleep_s = 0.0
-    base = LinkQueue(1, 0.0, together=lambda _sample: None, asleep_s=lambda: asleep_s)
-    robot = LinkQueue(2, 0.0, together=lambda _sample: None)
+    base = LinkQueue(1, 0.0, together=lambda _sample: None, freight=lambda _sample: None, asleep_s=lambda: asleep_s)
+    robot = LinkQueue(2, 0.0, together=lambda _sample: None, freight=lambda _sample: None)
     base.add(lane := Lane(lambda _sample: None))
     base.follow(2, 0.0)
     robot.follow(1, 0.0)

@@ -56,10 +56,10 @@ def test_a_state_with_a_bad_value_is_refused(path, value):
 
 def test_a_state_of_another_version_says_so(monkeypatch):
     """The versions of both ends are in the fault."""
-    monkeypatch.setattr(offers, "VERSION", 9)
+    monkeypatch.setattr(offers, "VERSION", 99)
     data = encode_state(EndState(session=7, arpd="9.9"))
     monkeypatch.undo()
-    with pytest.raises(ValueError, match=rf"version 9 \(arpd 9.9\), this end version {offers.VERSION}"):
+    with pytest.raises(ValueError, match=rf"version 99 \(arpd 9.9\), this end version {offers.VERSION}"):
         decode_state(data)
 
 

@@ -50,7 +50,7 @@ def act(queue, lane, what, about, now_s):
         while queue.take(now_s) is not None:
             pass
     else:
-        queue.flight.confirm(Receipt(session=7, number=queue.flight.send(33, now_s)), now_s)
+        queue.flight.confirm(Receipt(session=7, number=queue.flight.send(33, now_s, size=0)), now_s)
 
 
 def check(queue, lane, now_s):
@@ -68,7 +68,7 @@ def check(queue, lane, now_s):
 @given(st.lists(st.tuples(lanes, events, st.floats(0.0, 0.3)), max_size=60))
 def test_what_is_kept_of_each_lane_is_what_it_says_itself(events):
     """After any order of offers, plans, prices, departures and removals, no lane's time is an old one."""
-    queue, now_s = LinkQueue(7, 0.0, together=lambda _sample: None), 0.0
+    queue, now_s = LinkQueue(7, 0.0, together=lambda _sample: None, freight=lambda _sample: None), 0.0
     lanes = [Lane(lambda _sample: None, has_company=number % 2 == 0) for number in range(LANES)]
     for lane in lanes:
         queue.add(lane)
