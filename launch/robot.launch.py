@@ -5,10 +5,12 @@ ros2 launch arpd robot.launch.py config:=my.yaml
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 LEVELS = ["debug", "info", "warning", "error"]
+# As in the units, unless it is set: who shares memory with a node that is killed may hang for good (docs/operating.md).
+UDP = {"FASTDDS_BUILTIN_TRANSPORTS": EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -20,7 +22,14 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("config", default_value="/etc/arpd/arpd.yaml", description="configuration of arpd"),
             DeclareLaunchArgument("log_level", default_value="info", choices=LEVELS, description="how much arpd logs"),
-            Node(package="arpd", executable="run", arguments=options, output="screen", sigterm_timeout=patience_s),
-            Node(package="arpd", executable="relay", arguments=options, output="screen"),
+            Node(
+                package="arpd",
+                executable="run",
+                arguments=options,
+                output="screen",
+                additional_env=UDP,
+                sigterm_timeout=patience_s,
+            ),
+            Node(package="arpd", executable="relay", arguments=options, output="screen", additional_env=UDP),
         ]
     )

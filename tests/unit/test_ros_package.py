@@ -57,6 +57,7 @@ def launch(monkeypatch):
         nodes = [made.kwargs for made in ros.Node.call_args_list]
         assert {made.args[0] for made in ros.DeclareLaunchArgument.call_args_list} == set(values)
         assert {node["package"] for node in nodes} == {"arpd"}
+        assert all(node["additional_env"].keys() == {"FASTDDS_BUILTIN_TRANSPORTS"} for node in nodes)
         assert len(ros.LaunchDescription.call_args.args[0]) == len(values) + len(nodes)
         return {node["executable"]: node["arguments"] for node in nodes}
 
