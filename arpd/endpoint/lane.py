@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 #: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
-SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - 64  # with the header of a chunk it is ten packets, too
+_HEADER_BYTES = 64  # of a chunk: with it a small one is ten packets, too
+SMALL_BYTES, _PACKET_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - _HEADER_BYTES, FRAGMENT_BYTES - _HEADER_BYTES
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
@@ -62,7 +63,7 @@ class _Bucket:
     def spend(self, samples: float) -> None:
         """Take credit, of which some may be lacking; without a rate none is needed."""
         if self.rate_hz < math.inf:
-            self._credit = max(-_LEAST_BURST, self._credit - samples)
+            self._credit = max(min(self._credit, -max(_LEAST_BURST, samples)), self._credit - samples)
 
 
 class _Waiting(NamedTuple):
@@ -172,8 +173,8 @@ class Lane:
 
     @property
     def is_small(self) -> bool:
-        """Whether the next message leaves whole, before all large ones."""
-        return self.current is None and len(self._next[1][0].message) <= SMALL_BYTES
+        """Whether the next message leaves whole, before all large ones; without a plan, one packet does."""
+        return self.current is None and self.next_bytes <= (_PACKET_BYTES if self.link_share is None else SMALL_BYTES)
 
     @property
     def next_bytes(self) -> int:
@@ -300,10 +301,13 @@ class Lane:
             return self.current
         return None
 
-    def refund(self, packets: float, wire_bytes: float) -> None:
-        """Give back what a message took less of the link than planned, because others left with it."""
-        if self.price is not None and (planned_s := self.price.cost_s(self.plan)) > 0.0:
-            self._allowed.spend(min(0.0, self.price.time_s(packets, wire_bytes) / planned_s - 1.0))
+    def charge(self, packets: float, wire_bytes: float) -> None:
+        """Take credit for what a small message took more of the link than planned, or give it back.
+
+        Where all topics have one rate, the terms of a plan are nominal, without packets.
+        """
+        if self.price is not None and self.plan.packets:
+            self._allowed.spend(self.price.time_s(packets, wire_bytes) / self.price.cost_s(self.plan) - 1.0)
 
     def ended(self, now_s: float) -> None:
         """Note that the message under way has left."""

@@ -286,7 +286,7 @@ class LinkQueue(PacedQueue):
         for each, sample in aboard:
             share = Part(sample, len(sample) + shared, part.packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
-            each.refund(share.packets, share.wire_bytes)
+            each.charge(share.packets, share.wire_bytes)
         return Ready(self._coach, part.sample)
 
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
@@ -326,6 +326,8 @@ class LinkQueue(PacedQueue):
         size = len(part) + CHUNK_HEADER_BYTES
         wire_bytes, packets = datagram_size(size) if current.is_freight else wire_size(size, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(self._carrier, now_s)
+        if is_first:
+            lane.charge(packets, wire_bytes)
         number = self.flight.send(int(wire_bytes), now_s, size=size, is_freight=current.is_freight)
         if offset == 0:
             current.number = number

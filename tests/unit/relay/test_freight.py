@@ -115,7 +115,7 @@ def test_where_no_datagram_arrives_pictures_go_on_in_packets():
     link.drops, tried_s = True, [link.now_s]
     for number in range(1, 1900):
         before = link.sent["freight"]
-        link.offer("camera", number)
+        link.offer("camera", number, 2 * PICTURE)  # some of it is still to leave when that is noticed
         for _ in range(5):
             link.offer("imu", number, bytes(300))
             link.run(0.02)

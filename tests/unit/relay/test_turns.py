@@ -14,7 +14,7 @@ from arpd.model.plan import TopicPlan
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
 from tests.examples import examples
-from tests.unit.relay.test_link_queue import CAPACITY, ROW, Link, loads, price_of
+from tests.unit.relay.test_link_queue import CAPACITY, LARGE, ROW, Link, loads, price_of
 
 JUST_S, SLOW = 1e-6, CAPACITY / 4
 ROWS = [
@@ -136,6 +136,42 @@ def test_messages_beyond_their_rate_join_those_that_leave():
     withheld, pictures = withheld_beside_cameras(0.035, *20 * [(50.0, 120, 320.0)], *8 * [(100.0, 120, 320.0)])
     assert withheld < 30
     assert pictures > 5
+
+
+def beside_an_imu_and_a_camera(plan):
+    """Return what an IMU loses in 3 s, and the bytes of a camera and of pictures of 11 kB and 60 Hz with this plan."""
+    link = Link(capacity=SLOW)
+    price = replace(price_of(0.3), capacity_bytes_per_second=SLOW, budget_share=0.85)
+    imu = link.lane("imu", replace(ROW, rate_hz=125.0, wire_bytes=585.0, packets=1), price, has_company=True)
+    link.lane("camera", ROW, price)
+    link.lane("pictures", plan, price)
+    for name, rate_hz, size in (("imu", 100.0, 344), ("camera", 30.0, LARGE), ("pictures", 60.0, 11_000)):
+        link.publish(name, rate_hz, size)
+    link.run(3.0)
+    return imu.withheld.total(), len(link.arrived["camera"]) * LARGE, len(link.arrived["pictures"]) * 11_000
+
+
+def test_a_new_topic_of_several_packets_leaves_the_others_their_time():
+    """Before its plan, pictures that would take the whole link cost an IMU nothing, and a camera half of it."""
+    withheld, *carried = beside_an_imu_and_a_camera(Lane(lambda _sample: None).plan)
+    assert not withheld
+    assert min(carried) > 300_000
+
+
+def test_a_topic_whose_samples_grow_takes_no_more_of_the_link_than_planned():
+    """Until its next plan fewer of the larger samples leave before others."""
+    withheld, *carried = beside_an_imu_and_a_camera(replace(ROW, rate_hz=75.0, wire_bytes=1_700.0, packets=2))
+    assert not withheld
+    assert min(carried) >= 200_000
+
+
+def test_under_a_uniform_policy_each_sample_costs_the_same():
+    """Its terms are nominal, so neither company nor size changes the one rate of all."""
+    link, nominal = Link(), replace(ROW, rate_hz=10.0, wire_bytes=1000.0, packets=0)
+    scan = link.lane("scan", nominal, price_of(0.004))
+    link.publish("scan", 10.0, 11_000)
+    link.run(3.0)
+    assert scan.due_s(link.now_s) <= link.now_s + 0.1
 
 
 def test_a_large_message_makes_way_for_a_moment_while_small_ones_wait_for_the_processor():
