@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from arpd.model.price import Price
 
-#: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
 _HEADER_BYTES = 64  # of a chunk: with it a small one is ten packets, too
+#: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
 SMALL_BYTES, _PACKET_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - _HEADER_BYTES, FRAGMENT_BYTES - _HEADER_BYTES
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
