@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from arpd.model.observation import MemoryState
 
 _LEAST_BUDGET_BYTES = 2.0**20
+_COMMAND_HZ = 20.0  # least floor of a small topic to the robot: a late command is dangerous
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,12 +29,14 @@ class Traffic:
     payload_bytes : serialized size of a sample, > 0 (bytes)
     source_rate_hz : rate at which the application publishes, 0 = silent (Hz)
     copies : times that each sample crosses the link: once per remote reader of each publisher
+    is_command : whether it goes to the robot
     """
 
     topic: str
     payload_bytes: float
     source_rate_hz: float
     copies: int = 1
+    is_command: bool = False
 
 
 def rows_of_traffic(traffic: Iterable[Traffic], settings: Settings) -> tuple[Topic, ...]:
@@ -53,6 +56,7 @@ def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...
             payload_bytes=max(publisher.payload_bytes for publisher in publishers),
             source_rate_hz=max(publisher.source_rate_hz for publisher in publishers),
             copies=sum(publisher.copies for publisher in publishers),
+            is_command=all(publisher.direction is Direction.ACTUATION for publisher in publishers),
         )
         for name, publishers in by_topic.items()
     )
@@ -80,6 +84,8 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
     # One picture of 0.9 MB a second is more than a link of 5 Mbit/s carries: nobody asked for that floor. Eq. (4) does.
     is_asked = traffic.payload_bytes <= SMALL_PACKETS * FRAGMENT_BYTES or settings.program.policy is Policy.UNIFORM
     own_hz, default_hz = preferences.min_rate_hz, settings.defaults.min_rate_hz
+    if traffic.is_command and settings.program.policy is Policy.PER_TOPIC:
+        default_hz = max(default_hz, _COMMAND_HZ)
     desired_hz = desired_hz or (default_hz if own_hz is None else own_hz)
     # A floor never exceeds what the source publishes.
     floor_hz = min((default_hz if is_asked else 0.0) if own_hz is None else own_hz, desired_hz)

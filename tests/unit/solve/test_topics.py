@@ -1,5 +1,7 @@
 """Rows of the program, from publishers or from what the configuration assumes."""
 
+from dataclasses import replace
+
 import pytest
 
 from arpd.model.endpoints import Direction
@@ -38,6 +40,24 @@ def test_a_pattern_sets_weight_floor_and_cap_of_all_it_matches():
     assert [(row.weight, row.min_rate_hz, row.desired_rate_hz) for row in rows] == expected
     uniform = Settings(program=ProgramSettings(policy=Policy.UNIFORM), topics=(pattern,))
     assert {row.min_rate_hz for row in rows_of_traffic(measured_traffic(large), uniform)} == {1.0}
+
+
+def test_a_command_keeps_twenty_samples_a_second_unless_the_configuration_says_otherwise():
+    """Small topics to the robot come before a fair share of a weak link; large ones, and an Rmin of Eq. (4), do not."""
+    topics = [
+        driver("/cmd_vel", payload_bytes=52.0, source_rate_hz=50.0),
+        driver("/joy", payload_bytes=90.0, source_rate_hz=10.0),
+        driver("/map", payload_bytes=1e6),
+        driver("/mine", payload_bytes=52.0),
+    ]
+    traffic = measured_traffic([replace(each, direction=Direction.ACTUATION) for each in topics])
+    own = TopicSettings(name="/mine", min_rate_hz=2.0)
+    for settings, expected in (
+        (Settings(topics=(own,)), [20.0, 10.0, 0.0, 2.0]),
+        (Settings(defaults=DefaultPreferences(min_rate_hz=30.0), topics=(own,)), [30.0, 10.0, 0.0, 2.0]),
+        (Settings(program=ProgramSettings(policy=Policy.UNIFORM)), [1.0] * 4),
+    ):
+        assert [row.min_rate_hz for row in rows_of_traffic(traffic, settings)] == expected
 
 
 def test_an_assumed_topic_makes_the_row_of_a_measured_one():
