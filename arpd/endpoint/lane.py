@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 _HEADER_BYTES = 64  # of a chunk: with it a small one is ten packets, too
 #: A larger message waits for its share of the link; where both ends are arpd's it crosses in chunks.
-SMALL_BYTES, _PACKET_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - _HEADER_BYTES, FRAGMENT_BYTES - _HEADER_BYTES
+SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - _HEADER_BYTES
+_PACKET_BYTES = FRAGMENT_BYTES - _HEADER_BYTES
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
@@ -63,7 +64,8 @@ class _Bucket:
     def spend(self, samples: float) -> None:
         """Take credit, of which some may be lacking; without a rate none is needed."""
         if self.rate_hz < math.inf:
-            self._credit = max(min(self._credit, -max(_LEAST_BURST, samples)), self._credit - samples)
+            least = min(self._credit, -max(_LEAST_BURST, samples))  # a large charge counts whole
+            self._credit = max(least, self._credit - samples)
 
 
 class _Waiting(NamedTuple):

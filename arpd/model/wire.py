@@ -19,7 +19,7 @@ _DATA_FRAG_BYTES = _RTPS_BYTES + 12 + 36
 _MESSAGE_BYTES = 1392
 FRAGMENT_BYTES = _MESSAGE_BYTES - _DATA_FRAG_BYTES - 32
 _CUT_BYTES = MTU_BYTES - IPV4_BYTES  # of a datagram, in each packet
-DATAGRAM_BYTES = UDP_BYTES + DATA_BYTES  # its headers
+_DATAGRAM_BYTES = UDP_BYTES + DATA_BYTES  # its headers
 #: Most packets of a small sample: it comes before larger ones, and the floor of `defaults` holds for it.
 SMALL_PACKETS = 10
 HEARTBEAT_BYTES = _HEADERS_BYTES + _RTPS_BYTES + 32
@@ -68,13 +68,13 @@ def wire_size(payload_bytes: float, *, rate_hz: float) -> tuple[float, int]:
 
 def datagram_size(payload_bytes: float) -> tuple[float, int]:
     """Return bytes and packets of a sample in one datagram, which IP cuts at the MTU of Ethernet (RFC 791 §3.2)."""
-    packets = math.ceil((DATAGRAM_BYTES + payload_bytes) / _CUT_BYTES)
-    return payload_bytes + DATAGRAM_BYTES + packets * (ETHERNET_BYTES + IPV4_BYTES), packets
+    packets = math.ceil((_DATAGRAM_BYTES + payload_bytes) / _CUT_BYTES)
+    return payload_bytes + _DATAGRAM_BYTES + packets * (ETHERNET_BYTES + IPV4_BYTES), packets
 
 
 def datagram_payload(packets: int) -> int:
     """Return the payload of a datagram that fills so many packets (bytes)."""
-    return packets * _CUT_BYTES - DATAGRAM_BYTES
+    return packets * _CUT_BYTES - _DATAGRAM_BYTES
 
 
 def swap_bytes(endpoints: int) -> float:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _CHUNK = struct.Struct("<IIIIIIB")
-_RECORD = struct.Struct("<8sIQ")
 _WRITER_BYTES = 8
+_RECORD = struct.Struct(f"<{_WRITER_BYTES}sIQ")
 #: What a chunk adds to the part of the message in it (bytes).
 CHUNK_HEADER_BYTES = ARRAY.size + _CHUNK.size
 MOST_MESSAGE_BYTES = 2**26
@@ -56,7 +56,7 @@ class Chunk(NamedTuple):
 @lru_cache(maxsize=10_000)
 def writer_key(gid: str) -> bytes:
     """Return what stands for the writer with this GUID in records, in a third of its bytes."""
-    return hashlib.blake2s(gid.encode(), digest_size=8).digest()
+    return hashlib.blake2s(gid.encode(), digest_size=_WRITER_BYTES).digest()
 
 
 def pack(records: Iterable[Record]) -> bytes:

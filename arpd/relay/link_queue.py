@@ -139,17 +139,17 @@ class LinkQueue(PacedQueue):
         return True
 
     def arrived(
-        self, sample: bytes, now_s: float, *, is_shared: bool = False, is_freight: bool = False
+        self, sample: bytes, now_s: float, *, is_together: bool = False, is_freight: bool = False
     ) -> tuple[Chunk, float]:
         """Account for a chunk of the other end; return it, and its age (s). Raises ValueError if the sample holds none.
 
         Parameters
         ----------
-        is_shared : whether it comes from a writer of several topics, which asks seldom for an acknowledgement
-        is_freight : whether that wrote it in one datagram
+        is_together : whether it holds small messages, whose writer asks seldom for an acknowledgement
+        is_freight : whether it is one datagram
         """
         chunk, size = decode_chunk(sample), len(sample)
-        rate_hz = math.inf if chunk.offset or is_shared else 0.0
+        rate_hz = math.inf if chunk.offset or is_together else 0.0
         self._received_bytes += (datagram_size(size) if is_freight else wire_size(size, rate_hz=rate_hz))[0]
         if not self._is_of_partner(chunk.session, now_s):
             return chunk, 0.0
@@ -286,7 +286,6 @@ class LinkQueue(PacedQueue):
         for each, sample in aboard:
             share = Part(sample, len(sample) + shared, part.packets / len(aboard))
             self._count(each, share, now_s, is_first=boarding[each])
-            each.charge(share.packets, share.wire_bytes)
         return Ready(self._coach, part.sample)
 
     def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
@@ -313,12 +312,17 @@ class LinkQueue(PacedQueue):
         if lane in self._active:
             self._turns.touch(lane)
 
+    def _count(self, lane: Lane, part: Part, now_s: float, *, is_first: bool) -> None:
+        super()._count(lane, part, now_s, is_first=is_first)
+        if is_first or lane.has_company:
+            lane.charge(part.packets, part.wire_bytes)
+
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
-        if current.is_freight and now_s < self.flight.freight.held_until_s:
+        is_held = now_s < self.flight.freight.held_until_s
+        if current.is_freight and is_held:
             current.offset = 0  # what has left of it does not arrive
         message, offset = current.message, current.offset
         if offset == 0:  # to the end of the message, because writers overtake each other
-            is_held = now_s < self.flight.freight.held_until_s
             current.is_freight = lane.may_be_freight and self._is_clean and not is_held
         self._carrier = self._freight if current.is_freight else lane
         chunk_bytes = self._freight_bytes if current.is_freight else self._chunk_bytes
@@ -326,8 +330,6 @@ class LinkQueue(PacedQueue):
         size = len(part) + CHUNK_HEADER_BYTES
         wire_bytes, packets = datagram_size(size) if current.is_freight else wire_size(size, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(self._carrier, now_s)
-        if is_first:
-            lane.charge(packets, wire_bytes)
         number = self.flight.send(int(wire_bytes), now_s, size=size, is_freight=current.is_freight)
         if offset == 0:
             current.number = number

@@ -69,10 +69,10 @@ class SimulatedEnd(SimulatedThread):
 
     def _on_small(self, sample: bytes) -> None:
         """Deliver small messages that left together."""
-        self._deliver(self.other.arrived(sample, is_shared=True).part)
+        self._deliver(self.other.arrived(sample, is_together=True).part)
 
     def _on_large(self, sample: bytes) -> None:
-        message = self._assembly.add(self.other.arrived(sample, is_shared=True, is_freight=True))
+        message = self._assembly.add(self.other.arrived(sample, is_freight=True))
         self._deliver(message or b"")
 
     def _deliver(self, message: bytes) -> None:

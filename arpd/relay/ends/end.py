@@ -149,8 +149,8 @@ class End:
         self._readers: list[RawReader] = [
             reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
-            chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_shared=True),
-            chunks(f"/arpd/relay/{other}/large", deliver=self.incoming.deliver, is_shared=True, is_freight=True),
+            chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
+            chunks(f"/arpd/relay/{other}/large", deliver=self.incoming.deliver, is_freight=True),
             chunks(
                 f"/arpd/relay/{other}/calls",
                 deliver=lambda record, chunk, _age_s: self._calls.arrived(chunk.session, record),

@@ -127,7 +127,7 @@ def lasting_s() -> float:
 
 
 class FreightWriter:
-    """Writes chunks in datagrams, and begins again where these do not arrive: DDS would repeat them for ever.
+    """Writes chunks in datagrams; where these do not arrive, by a new writer: DDS would go on to repeat them.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class FreightWriter:
         self._outlet.publish(chunk)
 
     def follow(self, held_until_s: float) -> None:
-        """Drop what has not arrived where freight is held anew, until then (s)."""
+        """Forget what has not arrived, once freight is held; until when that is (s)."""
         if held_until_s > self._held_until_s:
             self._held_until_s, before = held_until_s, self._publisher
             self._make()

@@ -119,7 +119,7 @@ def test_nothing_is_torn_and_nothing_doubled(messages, fates, restart):
 
 @given(st.lists(st.integers(2, 60), min_size=1, max_size=6), st.randoms())
 def test_messages_that_cross_by_turns_are_put_together(lengths, random):
-    """Each message is whole; what begins anew of the same writer takes the place of what was torn."""
+    """Each message is whole; a new message of a writer replaces its torn one."""
     messages = [bytes([place]) * 8 + bytes(length) for place, length in enumerate(lengths)]
     torn = [cut(message, 9, session=7, number=place)[0] for place, message in enumerate(messages)]
     left = [cut(message, 9, session=7, number=100 + place) for place, message in enumerate(messages)]
