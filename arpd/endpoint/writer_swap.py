@@ -76,16 +76,16 @@ class WriterSwap(Generic[W]):
         self._awaits_silence = False  # the state has to be looked at just before a sample leaves
         self.held: deque[tuple[bytes, float]] = deque()
         self._release_s = 0.0  # when the first of them may leave
+        self._shift_s: float | None = None  # that, less half of the time when it came; None while none may
         # Of the writers before, less those of this one until it was in force.
         self._missed = -self.current.deadlines_missed()
         self._wanted: WriterQos | None = None
         self._next: W | None = None
         self._next_qos = qos
-        self._created_s = 0.0
+        self._created_s = self._watch_s = 0.0
         self._readers = (0, 0)  # of the current and the next writer, when last looked at
         self._readers_since_s = 0.0
         self._since_s = 0.0  # when the state was entered, or samples of it began to be held
-        self._watch_s = 0.0
         self._can_prove = False  # the readers acknowledge samples
         self._is_late = False  # switched with the old writer not fully acknowledged
         self._trial = 0  # samples that left by the new writer before it proved that they arrive
@@ -185,8 +185,6 @@ class WriterSwap(Generic[W]):
             self._abandon_next()
 
     def _hold(self, sample: bytes, now_s: float) -> None:
-        if not self.held:
-            self._release_s = now_s
         self.held.append((sample, now_s))
         if self._awaits_silence:  # the sample before is most likely acknowledged just now, so most swaps hold none
             self._move(now_s)
@@ -195,12 +193,16 @@ class WriterSwap(Generic[W]):
             self._on_held()
 
     def _release(self, now_s: float) -> None:
-        while self.held and not self.is_holding and self._release_s <= now_s:
-            sample, came_s = self.held.popleft()
-            if self.held:
-                spacing_s = (self.held[0][1] - came_s) / 2.0
-                late_s = (self._timing.burst - 1) * spacing_s
-                self._release_s = max(self._release_s, now_s - late_s) + spacing_s
+        left = self._timing.burst
+        while self.held and not self.is_holding:
+            half_s = self.held[0][1] / 2.0
+            self._shift_s = now_s - half_s if self._shift_s is None else self._shift_s
+            self._release_s = self._shift_s + half_s
+            if self._release_s > now_s:
+                return
+            sample, _ = self.held.popleft()
+            left -= 1
+            self._shift_s = self._shift_s if left > 0 else now_s - half_s
             try:
                 self.current.publish(sample)
             except Exception:
@@ -212,6 +214,7 @@ class WriterSwap(Generic[W]):
                 self._since_s = now_s
             if self._awaits_silence and self.held:
                 self._move(now_s)
+        self._shift_s = None
 
     def _move(self, now_s: float) -> None:
         with self.lock:
@@ -342,9 +345,8 @@ class WriterSwap(Generic[W]):
             self._is_proven = True
             self._enter(SwapState.MATCHING, now_s)
         elif now_s - self._since_s > self._timing.match_timeout_s:
-            refused = self._next_qos
             self._give_up(SwapResult.UNMATCHED, now_s)
-            self._results.append((SwapResult.UNDELIVERED, refused))
+            self._results.append((SwapResult.UNDELIVERED, self._next_qos))
 
     def _take_over(self, now_s: float) -> None:
         assert self._next is not None
@@ -352,14 +354,13 @@ class WriterSwap(Generic[W]):
         self._current, self._qos = self._next, self._next_qos
         self._next = None
         self._enter(SwapState.IDLE, now_s)
-        is_ordered = not (self._is_late or self._is_doubted)
-        self._finish(SwapResult.OK if is_ordered else SwapResult.REORDER_POSSIBLE, self._qos)
+        may_reorder = self._is_late or self._is_doubted
+        self._finish(SwapResult.REORDER_POSSIBLE if may_reorder else SwapResult.OK, self._qos)
 
     def _retire(self, now_s: float) -> None:
         for old in tuple(self._draining):
             is_served = _is_served(old.writer)
-            drained_s = now_s - old.since_s
-            if is_served or drained_s >= self._timing.drain_s:
+            if is_served or now_s - old.since_s >= self._timing.drain_s:
                 self._draining.remove(old)  # first: if something below raises, it must not be destroyed twice
                 old.writer.destroy()
                 if not is_served:
@@ -383,10 +384,9 @@ class WriterSwap(Generic[W]):
         return now_s - self._created_s >= self._timing.match_timeout_s
 
     def _give_up(self, result: SwapResult, now_s: float) -> None:
-        refused = self._next_qos
         self._enter(SwapState.IDLE, now_s)
         self._abandon_next()
-        self._finish(result, refused)
+        self._finish(result, self._next_qos)
 
     def _abandon_next(self) -> None:
         abandoned, self._next, self.state = self._next, None, SwapState.IDLE

@@ -117,6 +117,30 @@ def test_what_was_held_leaves_at_twice_the_rate_at_which_it_came():
     assert left_s[-1] - left_s[0] == pytest.approx((held_s[-1] - held_s[0]) / 2.0, abs=0.02)
 
 
+def test_a_late_step_lets_a_few_samples_leave_at_once():
+    """More would push others out of a small history."""
+    world, swap = make()
+    now_s = settled(world, swap) + TIMING.watch_s
+    for number in range(25):
+        publish(swap, now_s + 0.01 * number, sample=number)
+    for late_s in (0.31, 0.61):
+        swap._clock = lambda step_s=now_s + late_s: step_s
+        swap.step(swap._clock())
+    assert len(world.log) == 1 + TIMING.burst
+
+
+def test_what_was_held_of_samples_that_come_in_pairs_is_gone_soon():
+    """Also where nothing but the next pair lets it leave, as at the far end of a relay."""
+    world, swap = make()
+    start_s = settled(world, swap) + TIMING.watch_s
+    for number in range(100):
+        acknowledge(world, is_acknowledging=number > 25)
+        for late_s in (0.0, 2e-5):
+            publish(swap, start_s + 0.004 * number + late_s, sample=number)
+        assert not swap.is_holding or number <= 26
+    assert not swap.held
+
+
 def proving(world, swap, wanted=None):
     """Bring a swap to PROVING; return the time."""
     now_s = settled(world, swap, wanted)
