@@ -21,7 +21,7 @@ LEAST_SHARE, MOST_SHARE = 0.05, 0.97  # of the link
 # Where two pictures of equal weight take turns of a chunk both are late; one after the other, only one is.
 _UNBROKEN_S = 2.0  # of the link, that the rest of a message may keep others waiting
 _AHEAD = 1.25  # more than headers add: a message under way stays before one that would end at the same time
-_MOST_SMALL_DEBT_S = 0.05  # of link time: small messages have rates of their own, and must not starve large ones
+MOST_SMALL_DEBT_S = 0.05  # of link time: small messages have rates of their own, and must not starve large ones
 SOON_S = 0.0005  # to wake a thread for less costs more than it saves
 
 
@@ -53,6 +53,30 @@ class Times(dict["Lane", float]):
         return [lane for lane, due_s in self.items() if due_s <= now_s]
 
 
+class Debt:
+    """Link time that is still to pass for what has left; below 0 for what might have.
+
+    Attributes
+    ----------
+    time_s : as of the last call (s)
+    """
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self._at_s = -math.inf
+
+    def drain(self, now_s: float, rate: float) -> float:
+        """Let the time since the last call pass at a rate (link time a second); return what is left (s)."""
+        passed_s = (now_s - self._at_s) * rate if now_s > self._at_s else 0.0
+        self.time_s = max(-_SLACK_S * rate, self.time_s - passed_s)
+        self._at_s = max(self._at_s, now_s)
+        return self.time_s
+
+    def owe(self, time_s: float, *, most_s: float = math.inf) -> None:
+        """Add time, until the debt is so long (s)."""
+        self.time_s = max(self.time_s, min(self.time_s + time_s, most_s))
+
+
 class PacedQueue:
     """Decides which topic's message leaves next; each crosses whole, and nobody tells what has arrived.
 
@@ -77,8 +101,7 @@ class PacedQueue:
         self._active: dict[Lane, None] = {}  # with something to send, the longest active first
         self._virtual = 0.0
         self.sent_bytes = 0  # on the link
-        self._debt_s = 0.0  # link time that is still to pass for what has left
-        self._drained_s = -math.inf  # as of when
+        self._debt = Debt()
         self._slowest = math.inf  # capacity since a fade ended (bytes/s)
         self._price: Price | None = None
         self._unplanned_s = -math.inf  # when a large sample without a plan may leave
@@ -147,8 +170,8 @@ class PacedQueue:
             return False
         self._settle(now_s)
         if self._price is not None:
-            debt_s = self._drain(now_s) + self._price.cost_s(lane.plan)
-            self._debt_s = max(self._debt_s, min(debt_s, _MOST_SMALL_DEBT_S))
+            self._drain(now_s)
+            self._debt.owe(self._price.cost_s(lane.plan), most_s=MOST_SMALL_DEBT_S)
         return True
 
     def take_of(self, lane: Lane, now_s: float) -> bytes | None:
@@ -272,8 +295,8 @@ class PacedQueue:
             cost_s = price.time_s(part.packets, part.wire_bytes)
             if lane.link_share is None and not is_first:
                 self._unplanned_s = now_s + cost_s / max(LEAST_SHARE, price.spare_share)
-            debt_s = self._drain(now_s) + cost_s
-            self._debt_s = max(self._debt_s, min(debt_s, _MOST_SMALL_DEBT_S)) if is_first else debt_s
+            self._drain(now_s)
+            self._debt.owe(cost_s, most_s=MOST_SMALL_DEBT_S if is_first else math.inf)
 
     def _end(self, lane: Lane, now_s: float) -> None:
         lane.ended(now_s)
@@ -283,11 +306,7 @@ class PacedQueue:
 
     def _drain(self, now_s: float) -> float:
         """Let the link time since the last call pass; return what is still to pass, below 0 for what it might have."""
-        rate = self._drain_rate
-        passed_s = (now_s - self._drained_s) * rate if now_s > self._drained_s else 0.0
-        self._debt_s = max(-_SLACK_S * rate, self._debt_s - passed_s)
-        self._drained_s = max(self._drained_s, now_s)
-        return self._debt_s
+        return self._debt.drain(now_s, self._drain_rate)
 
     def _free_s(self, now_s: float) -> float:
         """Return when its share of the link is free again (s)."""
@@ -310,6 +329,6 @@ class PacedQueue:
         capacity = self._price.capacity_bytes_per_second
         if capacity > _FADE * self._slowest:
             # What is still to pass are bytes: of a picture that left in a fade, minutes then and a moment now.
-            self._debt_s = self._drain(now_s) * self._slowest / capacity
+            self._debt.time_s = self._drain(now_s) * self._slowest / capacity
             self._slowest = capacity
         self._slowest = min(self._slowest, capacity)

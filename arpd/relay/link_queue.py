@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from arpd.endpoint.lane import SMALL_BYTES, Lane, UnderWay
-from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, PacedQueue, Part, Ready, Times
+from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, MOST_SMALL_DEBT_S, Debt, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
 from arpd.model.wire import (
     CLEAN_LOSS_RATIO,
@@ -36,6 +36,8 @@ _UNKNOWN_PACKETS = 4
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _WAY_S = 0.02  # beyond the last sign that this process lacks the processor
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
+_SMALL_SHARE = 0.85  # of what drains: topics of one packet have it before large ones, whatever their rates are
+_LEAST_DRAIN = 0.2  # of the link, for that: the robot's topics may leave the base's commands next to nothing
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
 
@@ -44,8 +46,9 @@ class LinkQueue(PacedQueue):
     """Cuts large messages into chunks, so that small ones wait behind one chunk at most.
 
     A message under way is finished before the next one of its topic. The queue drains at the share of the link that its
-    topics' rates take at the price, and what no topic of any process takes; what is left serves small topics beyond
-    their rate, too. Without a daemon only what is on its way bounds it.
+    topics' rates take at the price, and what no topic of any process takes. What is left serves small topics beyond
+    their rate, too; those of one packet have most of it before all large ones, so where they fit no picture costs them
+    a sample. Without a daemon only what is on its way bounds it.
 
     Small messages of several topics leave together: of a sample of 300 bytes its own packet, heartbeat and
     acknowledgement would be the larger part. Those that come within the time of two packets, 2 to 5 ms, wait for each
@@ -89,6 +92,7 @@ class LinkQueue(PacedQueue):
         self._carrier = self._freight  # whose writer takes the chunk that leaves
         self._is_clean = False
         self._turns = Turns(super()._finish)
+        self._small_debt = Debt()
         self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
         self._way_s = -math.inf  # until when large messages make way
@@ -230,8 +234,16 @@ class LinkQueue(PacedQueue):
         Where much comes there will be something: so neither a message that may not leave yet has to wake the thread,
         nor a chunk whose receipt is not due.
         """
-        expected = (each_s for each_s in (self._expects_s, self._received.expects_s) if each_s > now_s)
-        return min([super().due_s(now_s), *expected])
+        due_s = super().due_s(now_s)
+        if self._active and self._is_open(now_s):
+            due_s = min(due_s, self._early_s(now_s))
+        return min([due_s, *(each_s for each_s in (self._expects_s, self._received.expects_s) if each_s > now_s)])
+
+    def _choose(self, now_s: float) -> tuple[Lane, bool] | None:
+        chosen = super()._choose(now_s)
+        if (chosen is None or not chosen[1]) and self._early_s(now_s) <= now_s:
+            return self._turns.in_turn.together.ready(now_s)[0], False
+        return chosen
 
     def _first(self, now_s: float) -> Times:
         self._turns.update(now_s)
@@ -260,17 +272,17 @@ class LinkQueue(PacedQueue):
             return ready and ready._replace(lane=self._carrier)
         first = self._turns.first.together.ready(now_s)
         boarding = {lane: is_first, **{each: True for each in first if each is not lane}}
-        if self._free_s(now_s) <= now_s + self._company_s:
+        is_early = self._early_s(now_s) <= now_s
+        if is_early or self._free_s(now_s) <= now_s + self._company_s:
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
         room, misses, is_full = self._room, 0, False
         for each, is_due in boarding.items():
-            messages = self._board(each, room, now_s)
+            messages = self._board(each, room, now_s, is_early=is_early)
             aboard += [(each, message) for message in messages]
             room -= sum(map(len, messages))
-            left = each in self._active and (not messages or (is_due and each.first_s(now_s) <= now_s))
-            is_full |= left
+            is_full |= each in self._active and (not messages or is_early or (is_due and each.first_s(now_s) <= now_s))
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
@@ -288,10 +300,12 @@ class LinkQueue(PacedQueue):
             self._count(each, share, now_s, is_first=boarding[each])
         return Ready(self._coach, part.sample)
 
-    def _board(self, lane: Lane, room: int, now_s: float) -> list[bytes]:
-        """Return what leaves of a lane together with others: one message, and all that its rate and the room allow."""
+    def _board(self, lane: Lane, room: int, now_s: float, *, is_early: bool) -> list[bytes]:
+        """Return what leaves of a lane with others: one message, and what the room and its rate allow, unless early."""
         aboard: list[bytes] = []
-        while lane in self._active and lane.next_bytes <= room and (not aboard or lane.first_s(now_s) <= now_s):
+        while lane in self._active and lane.next_bytes <= room:
+            if aboard and (lane.spare_s(now_s) if is_early else lane.first_s(now_s)) > now_s:
+                break
             if (current := lane.begin(now_s)) is None:
                 del self._active[lane]
                 break
@@ -316,6 +330,8 @@ class LinkQueue(PacedQueue):
         super()._count(lane, part, now_s, is_first=is_first)
         if is_first or lane.has_company:
             lane.charge(part.packets, part.wire_bytes)
+            if self._price is not None:
+                self._small_debt.owe(self._price.time_s(part.packets, part.wire_bytes), most_s=MOST_SMALL_DEBT_S)
 
     def _cut(self, lane: Lane, current: UnderWay, now_s: float, *, is_first: bool) -> Part:
         is_held = now_s < self.flight.freight.held_until_s
@@ -345,6 +361,11 @@ class LinkQueue(PacedQueue):
 
     def _free_s(self, now_s: float) -> float:
         return max(super()._free_s(now_s), self._way_s)
+
+    def _early_s(self, now_s: float) -> float:
+        """Return when a topic of one packet may leave beyond its rate, before large ones (s)."""
+        rate = _SMALL_SHARE * max(self._drain_rate, _LEAST_DRAIN)
+        return max(self._turns.in_turn.together_s, now_s + self._small_debt.drain(now_s, rate) / rate)
 
     @property
     def _drain_rate(self) -> float:

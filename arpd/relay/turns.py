@@ -33,7 +33,12 @@ class KeptTimes(Times):
     @property
     def due_s(self) -> float:
         """When the first one may leave, ``inf`` = there is none (s)."""
-        return min(super().due_s, max(self.together.due_s, self.departs_s))
+        return min(super().due_s, self.together_s)
+
+    @property
+    def together_s(self) -> float:
+        """When the first one of those that wait for company may (s)."""
+        return max(self.together.due_s, self.departs_s)
 
     def ready(self, now_s: float) -> list[Lane]:
         """Return the lanes that may leave now, those that wait for nobody first."""

@@ -138,6 +138,33 @@ def test_messages_beyond_their_rate_join_those_that_leave():
     assert pictures > 5
 
 
+ARM = ((500.0, 100, 286.0), (100.0, 600, 786.0))  # wrenches and transforms
+
+
+def test_a_picture_costs_topics_of_one_packet_nothing_where_they_fit():
+    """Joint states whose rate is above their share of the link leave before two cameras, which have the rest."""
+    withheld, pictures = withheld_beside_cameras(0.2, (500.0, 400, 586.0), *ARM)
+    assert not withheld
+    assert pictures > 3
+
+
+def test_a_part_of_the_link_is_left_to_pictures():
+    """Joint states that would fill it have most of it beyond their rate, and no more."""
+    withheld, pictures = withheld_beside_cameras(0.15, (1500.0, 400, 586.0), *ARM)
+    assert withheld > 1000
+    assert pictures > 4
+
+
+def test_commands_leave_though_the_robots_topics_fill_the_link():
+    """A topic of one packet has a part of it that nobody has planned for, as the only one of its end."""
+    link = Link(capacity=SLOW / 2.5)
+    price = replace(price_of(0.02), capacity_bytes_per_second=link.capacity)
+    lane = link.lane("setpoint", replace(ROW, rate_hz=20.0, wire_bytes=500.0, packets=1), price, has_company=True)
+    link.publish("setpoint", 50.0, 100)
+    link.run(4.0)
+    assert lane.sent_rate.samples >= 195
+
+
 def beside_an_imu_and_a_camera(plan):
     """Return what an IMU loses in 3 s, and the bytes of a camera and of pictures of 11 kB and 60 Hz with this plan."""
     link = Link(capacity=SLOW)
