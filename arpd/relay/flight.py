@@ -12,7 +12,7 @@ from arpd.relay.envelope import WRAP
 _OUT_S = 0.4  # of silence, beyond the usual time of a receipt, while something is on its way
 # Time of the capacity that may be on its way, beyond the fastest receipt of late. More would only wait, and what the
 # socket's buffer does not hold, 50 ms of 20 Mbit/s with Linux' defaults, is lost there.
-_WINDOW_S = 0.03
+_WINDOW_S = 0.02
 _REPAIR_S = 0.04  # more where packets are lost: no receipt tells of what has arrived behind one that must come again
 _SMALL_WINDOWS = 3.0  # for small messages: what fits the link must not wait for what fills it
 _QUEUED_S = 0.08  # an age that shows a queue on the link; what arrives is then what the link carries
@@ -26,7 +26,7 @@ _TRIP_S = 10.0
 # Time in which a receipt was held up on its way back, lately and at most, as by a radio that saves power: what has
 # arrived meanwhile is not on its way.
 _BACK_S, _MOST_BACK_S = 0.5, 0.1
-_PROMPT_S, _PROMPT_BYTES = 0.015, 8_000  # a receipt for so many bytes follows so soon
+_PROMPT_S, _PROMPT_BYTES = 0.008, 8_000  # a receipt for so many bytes follows so soon
 _LAZY_S = 0.1  # and one for fewer
 _OFFSET_S = 30.0
 # Freight of which something is missing for so long does not arrive, and then the next one waits at first so long.
