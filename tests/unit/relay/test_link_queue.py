@@ -253,8 +253,7 @@ def test_after_a_fall_the_queue_on_the_link_is_short_before_a_daemon_knows():
     link.lane("camera", ROW, price_of(math.inf))
     link.publish("camera", 60.0)
     link.run(3.0)
-    link.capacity /= 4.0
-    waits_s = []
+    link.capacity, waits_s = link.capacity / 4.0, []
     for _ in range(60):
         link.run(0.01)
         waits_s.append(link.free_s - link.now_s)
