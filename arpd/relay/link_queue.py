@@ -279,10 +279,11 @@ class LinkQueue(PacedQueue):
         aboard: list[tuple[Lane, bytes]] = []
         room, misses, is_full = self._room, 0, False
         for each, is_due in boarding.items():
-            messages = self._board(each, room, now_s, is_early=is_early)
+            when = each.spare_s if is_early else each.first_s
+            messages = self._board(each, room, now_s, when)
             aboard += [(each, message) for message in messages]
             room -= sum(map(len, messages))
-            is_full |= each in self._active and (not messages or is_early or (is_due and each.first_s(now_s) <= now_s))
+            is_full |= each in self._active and (not messages or ((is_early or is_due) and when(now_s) <= now_s))
             misses = 0 if messages else misses + 1
             if misses == _MOST_MISSES:
                 break
@@ -300,12 +301,10 @@ class LinkQueue(PacedQueue):
             self._count(each, share, now_s, is_first=boarding[each])
         return Ready(self._coach, part.sample)
 
-    def _board(self, lane: Lane, room: int, now_s: float, *, is_early: bool) -> list[bytes]:
-        """Return what leaves of a lane with others: one message, and what the room and its rate allow, unless early."""
+    def _board(self, lane: Lane, room: int, now_s: float, when: Callable[[float], float]) -> list[bytes]:
+        """Return what leaves of a lane together with others: one message, and all that may by now and has room."""
         aboard: list[bytes] = []
-        while lane in self._active and lane.next_bytes <= room:
-            if aboard and (lane.spare_s(now_s) if is_early else lane.first_s(now_s)) > now_s:
-                break
+        while lane in self._active and lane.next_bytes <= room and (not aboard or when(now_s) <= now_s):
             if (current := lane.begin(now_s)) is None:
                 del self._active[lane]
                 break
