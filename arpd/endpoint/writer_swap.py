@@ -75,8 +75,7 @@ class WriterSwap(Generic[W]):
         self._current = self.current = create(qos)
         self._awaits_silence = False  # the state has to be looked at just before a sample leaves
         self.held: deque[tuple[bytes, float]] = deque()
-        self._release_s = 0.0  # when the first of them may leave
-        self._shift_s: float | None = None  # that, less half of the time when it came; None while none may
+        self._shift_s = -math.inf  # when one of them may leave, less half of the time when it came; -inf while none may
         # Of the writers before, less those of this one until it was in force.
         self._missed = -self.current.deadlines_missed()
         self._wanted: WriterQos | None = None
@@ -132,7 +131,7 @@ class WriterSwap(Generic[W]):
         if self.state is SwapState.MATCHING:
             # Each call costs a wakeup: one every 50 ms took 35 ms of CPU per swap on an idle topic.
             poll_s = min(0.05 if self._is_link_clean else 0.2, self._timing.settle_s / 4.0)
-        return min(now_s + poll_s, max(now_s, self._release_s)) if self.held else now_s + poll_s
+        return min(now_s + poll_s, max(now_s, self._shift_s + self.held[0][1] / 2.0)) if self.held else now_s + poll_s
 
     def request(self, qos: WriterQos) -> None:
         """Request new QoS; the newest request wins, and one that changes nothing is no swap."""
@@ -196,13 +195,14 @@ class WriterSwap(Generic[W]):
         left = self._timing.burst
         while self.held and not self.is_holding:
             half_s = self.held[0][1] / 2.0
-            self._shift_s = now_s - half_s if self._shift_s is None else self._shift_s
-            self._release_s = self._shift_s + half_s
-            if self._release_s > now_s:
+            if self._shift_s == -math.inf:
+                self._shift_s = now_s - half_s
+            if self._shift_s + half_s > now_s:
                 return
             sample, _ = self.held.popleft()
             left -= 1
-            self._shift_s = self._shift_s if left > 0 else now_s - half_s
+            if left <= 0:
+                self._shift_s = now_s - half_s
             try:
                 self.current.publish(sample)
             except Exception:
@@ -214,7 +214,7 @@ class WriterSwap(Generic[W]):
                 self._since_s = now_s
             if self._awaits_silence and self.held:
                 self._move(now_s)
-        self._shift_s = None
+        self._shift_s = -math.inf
 
     def _move(self, now_s: float) -> None:
         with self.lock:
