@@ -25,6 +25,7 @@ _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate;
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
 CATCH_UP = 2.0
+_AT_ONCE_S, _LATE_S = 0.5, 0.1  # below its floor: of the link for one message, and so much sooner comes the next
 _DIP_S, _CALM_S = 0.25, 1.0  # a rate too little for so long costs no small sample, if none was lost for so long
 _JUST_S = 2.0  # more than the last chunks and their acknowledgement take
 _UNPLANNED = TopicPlan(rate_hz=math.inf, min_rate_hz=0.0, deadline_ns=0, depth=1)
@@ -139,9 +140,8 @@ class Lane:
         self._is_thinned = False
         self._thinned = 0
         self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
-        self._begun_s = 0.0
+        self._before_s = self._begun_s = 0.0  # when the last message but one began, and the last, or should have
         self._floor_s = math.inf
-        self._has_floor_turn = False
         self.plan = _UNPLANNED
         self.price: Price | None = None
         self.current: UnderWay | None = None
@@ -270,9 +270,17 @@ class Lane:
         """Return when it may leave if the link has time to spare: by its cap, or at once if it is under way (s)."""
         return self._cap.due_s(now_s) if self.current is None else -math.inf
 
-    def is_behind(self, now_s: float) -> bool:
-        """Return whether the topic is below its floor."""
-        return self._has_floor_turn if self.current is not None else now_s >= self._begun_s + self._floor_s
+    @property
+    def behind_s(self) -> float:
+        """When the topic is below its floor, unless its message has left by then (s).
+
+        A large message may catch up for a moment; what is left of it then comes at its floor.
+        """
+        if self.current is None or math.isinf(self._floor_s):
+            return self._begun_s + self._floor_s
+        capacity = math.inf if self.price is None else self.price.capacity_bytes_per_second
+        beyond = max(0.0, self.current.offset - _AT_ONCE_S * capacity) / len(self.current.message)
+        return max(self._before_s + self._floor_s, self._begun_s) + beyond * self._floor_s
 
     def is_sending(self, source: Hashable, now_s: float) -> bool:
         """Return whether a message of this source is on its way, or was just now."""
@@ -295,10 +303,10 @@ class Lane:
             self._thinned += self._is_thinned
             spent = 0.5 + self._thinned * _GOLDEN % 1.0 if self._is_thinned else 1.0
             self._is_thinned = False
-            self._has_floor_turn = now_s >= self._begun_s + self._floor_s
             self._cap.spend(spent)
             self._allowed.spend(spent)
-            self._begun_s = now_s
+            self._before_s = self._begun_s
+            self._begun_s = min(now_s, max(self._before_s + self._floor_s, now_s - _LATE_S))
             self.current = UnderWay(waiting.source, waiting.message)
             return self.current
         return None

@@ -72,6 +72,10 @@ class Debt:
         self._at_s = max(self._at_s, now_s)
         return self.time_s
 
+    def paid_s(self, now_s: float, rate: float) -> float:
+        """Return when nothing is left of it at a rate (s)."""
+        return now_s + self.drain(now_s, rate) / rate
+
     def owe(self, time_s: float, *, most_s: float = math.inf) -> None:
         """Add time, until the debt is so long (s)."""
         self.time_s = max(self.time_s, min(self.time_s + time_s, most_s))
@@ -82,10 +86,11 @@ class PacedQueue:
 
     Samples of at most ten packets come first, each topic within its allowed rate. Then comes fair queueing by weight:
     the message first that would end first (Demers, Keshav and Shenker, SIGCOMM 1989), in the virtual time of start-time
-    fair queueing (Goyal, Vin and Cheng, SIGCOMM 1996), topics below their floor before the others. No topic exceeds its
-    rate at the price, but for one that grows and costs little (`Price.growing_hz`), and a large sample waits until the
-    one before has crossed the link. A topic that has no plan yet has what is spare, as a TCP sender begins with a small
-    window (RFC 5681 §3.1): a robot that starts its cameras on a weak link would fill every queue.
+    fair queueing (Goyal, Vin and Cheng, SIGCOMM 1996). No topic exceeds its rate at the price, but for one that grows
+    and costs little (`Price.growing_hz`). A large sample waits until the one before has crossed the link, but not if
+    its topic is below its floor; then it leaves before all others that wait for a share of the link. A topic that has
+    no plan yet has what is spare, as a TCP sender begins with a small window (RFC 5681 §3.1): a robot that starts its
+    cameras on a weak link would fill every queue.
 
     Without a daemon nothing waits. `arpd.relay.link_queue` is the queue of an end, in which messages cross in chunks.
 
@@ -95,6 +100,7 @@ class PacedQueue:
     """
 
     _heartbeat_s = HEARTBEAT_S  # of its writers
+    _way_s = -math.inf  # until when large messages make way
 
     def __init__(self) -> None:
         self._lanes: dict[Lane, None] = {}
@@ -156,7 +162,7 @@ class PacedQueue:
         """Withhold what waits of the lanes that raise when they are asked: no other one would have its turn."""
         for lane in tuple(self._active):
             try:
-                _ = lane.first_s(now_s), lane.spare_s(now_s), lane.is_behind(now_s), lane.link_share
+                _ = lane.first_s(now_s), lane.spare_s(now_s), lane.behind_s, lane.link_share
                 _ = lane.left_bytes / lane.weight
             except Exception:  # noqa: BLE001 - whatever it is, it must not stop the others
                 self._give_up(lane)
@@ -200,7 +206,8 @@ class PacedQueue:
         first_s = self._first(now_s).due_s
         if first_s <= now_s or not self._has_room():
             return first_s
-        return min(first_s, max(self._in_turn(now_s).due_s, self._free_s(now_s)))
+        in_turn_s = max(self._in_turn(now_s).due_s, self._free_s(now_s))
+        return min(first_s, in_turn_s, self._behind(now_s).due_s)
 
     @property
     def is_waiting(self) -> bool:
@@ -223,12 +230,12 @@ class PacedQueue:
         """Return the lane whose turn it is, and whether it comes before large ones; None where nothing may leave."""
         if first := self._first(now_s).ready(now_s):
             return first[0], True
-        if self._free_s(now_s) > now_s + SOON_S or not self._has_room():
+        if not self._has_room():
             return None
-        if not (ready := self._in_turn(now_s).ready(now_s)):
-            return None
-        behind = [lane for lane in ready if lane.is_behind(now_s)]
-        return min(behind or ready, key=self._finish), False
+        ready = self._behind(now_s).ready(now_s)
+        if not ready and self._free_s(now_s) <= now_s + SOON_S:
+            ready = self._in_turn(now_s).ready(now_s)
+        return (min(ready, key=self._finish), False) if ready else None
 
     def _first(self, now_s: float) -> Times:
         """Return when the messages may leave that wait for no share of the link."""
@@ -241,6 +248,11 @@ class PacedQueue:
             for lane in self._active
             if lane.claimant is None
         )
+
+    def _behind(self, now_s: float) -> Times:
+        """Return when those of them may that are below their floor then, whatever has left before."""
+        turns = self._in_turn(now_s)
+        return Times((lane, max(due_s, lane.behind_s, self._way_s)) for lane, due_s in turns.items())
 
     def _finish(self, lane: Lane) -> float:
         """Return the virtual time at which the message of a lane ends, or so far of the rest that others may wait."""
@@ -310,9 +322,7 @@ class PacedQueue:
 
     def _free_s(self, now_s: float) -> float:
         """Return when its share of the link is free again (s)."""
-        if self._price is None:
-            return -math.inf
-        return now_s + self._drain(now_s) / self._drain_rate
+        return self._way_s if self._price is None else max(self._way_s, self._debt.paid_s(now_s, self._drain_rate))
 
     @property
     def _drain_rate(self) -> float:

@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 
 from arpd.model.plan import TopicPlan, rate_of
+from arpd.model.wire import SMALL_PACKETS
 
+#: Of what is divided, the floor of all topics together whose samples take more than ten packets.
+LARGE_SHARE = 0.15
 _SHARE_STEP = 0.02
 _GROWTH = 0.05  # of the link time, for a topic that grows until its next plan: a joystick, or a burst of log messages
 
@@ -19,6 +22,7 @@ class Price:
     ----------
     share_per_weight : ν, the share of link time that a topic of weight 1 gets, ``inf`` = as much as it wants
     capacity_bytes_per_second : C, to turn bytes into link time, > 0 (bytes/s)
+    large_share_per_weight : the least share of a topic of weight 1 whose samples take more than ten packets
     packet_overhead_s : t_ovh, link time of a packet beyond its bytes (s)
     yielding_weight : topics of less weight have no floor now, and those of this weight keep a part of it
     kept_minimum : that part, 0..1
@@ -31,6 +35,7 @@ class Price:
 
     share_per_weight: float
     capacity_bytes_per_second: float
+    large_share_per_weight: float = 0.0
     packet_overhead_s: float = 0.0
     yielding_weight: float = 0.0
     kept_minimum: float = 1.0
@@ -42,6 +47,8 @@ class Price:
     def __post_init__(self) -> None:
         if not self.share_per_weight >= 0.0:
             raise ValueError(f"share_per_weight {self.share_per_weight!r} must be a number of at least 0")
+        if not 0.0 <= self.large_share_per_weight < math.inf:
+            raise ValueError(f"large_share_per_weight {self.large_share_per_weight!r} must be a number of at least 0")
         if not 0.0 < self.capacity_bytes_per_second < math.inf:
             raise ValueError(f"capacity {self.capacity_bytes_per_second!r} must be a number above 0")
         if not 0.0 <= self.packet_overhead_s < math.inf:
@@ -81,11 +88,14 @@ class Price:
 
     def floor_hz(self, plan: TopicPlan) -> float:
         """Return the floor that the link leaves one publisher (Hz)."""
+        least_hz = plan.min_rate_hz
+        if plan.packets > SMALL_PACKETS:
+            least_hz = max(least_hz, min(plan.rate_hz, self._hz(self.large_share_per_weight * plan.weight, plan)))
         if self.is_stale:
-            return max(plan.min_rate_hz, rate_of(plan.deadline_ns))
+            return max(least_hz, rate_of(plan.deadline_ns))
         if plan.weight == self.yielding_weight:  # exact: the program's classes of weight are, too
-            return self.kept_minimum * plan.min_rate_hz
-        return plan.min_rate_hz if plan.weight > self.yielding_weight else 0.0
+            return self.kept_minimum * least_hz
+        return least_hz if plan.weight > self.yielding_weight else 0.0
 
     def is_near(self, other: Price, *, tolerance: float) -> bool:
         """Return whether an endpoint that has the other price needs no message.
@@ -99,6 +109,7 @@ class Price:
         mine, theirs = self.capacity_bytes_per_second, other.capacity_bytes_per_second
         return (
             near(self.share_per_weight * mine, other.share_per_weight * theirs)
+            and near(self.large_share_per_weight * mine, other.large_share_per_weight * theirs)
             and near(self.packet_overhead_s * mine, other.packet_overhead_s * theirs)
             and self.yielding_weight == other.yielding_weight
             and near(self.kept_minimum, other.kept_minimum)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from arpd.endpoint.lane import SMALL_BYTES, Lane, UnderWay
 from arpd.endpoint.queue import LEAST_SHARE, MOST_SHARE, MOST_SMALL_DEBT_S, Debt, PacedQueue, Part, Ready, Times
 from arpd.model.endpoints import WithheldCause
+from arpd.model.price import LARGE_SHARE
 from arpd.model.wire import (
     CLEAN_LOSS_RATIO,
     FRAGMENT_BYTES,
@@ -36,7 +37,7 @@ _UNKNOWN_PACKETS = 4
 _COMPANY_PACKETS, _COMPANY_S, _LEAST_COMPANY_S = 2.0, 0.005, 0.002
 _WAY_S = 0.02  # beyond the last sign that this process lacks the processor
 _MOST_MISSES = 8  # lanes in a row whose message has no room beside those that leave together
-_SMALL_SHARE = 0.85  # of what drains: topics of one packet have it before large ones, whatever their rates are
+_SMALL_SHARE = 1.0 - LARGE_SHARE  # topics of one packet have it before large ones, whatever their rates are
 _LEAST_DRAIN = 0.2  # of the link, for that: the robot's topics may leave the base's commands next to nothing
 _TOGETHER_BYTES = FRAGMENT_BYTES - CHUNK_HEADER_BYTES
 _PROBE_S, _PROMPT_S = 0.1, 30.0  # a probe while the link is out, and how long they come so often
@@ -95,7 +96,6 @@ class LinkQueue(PacedQueue):
         self._small_debt = Debt()
         self._expects_s = -math.inf  # when messages leave together, and others will most likely have come
         self._share = math.inf  # link time a second, may be spent
-        self._way_s = -math.inf  # until when large messages make way
         self._was_out = False
         self._received = Received()
         self._received_bytes = 0.0  # on the link
@@ -273,7 +273,7 @@ class LinkQueue(PacedQueue):
         first = self._turns.first.together.ready(now_s)
         boarding = {lane: is_first, **{each: True for each in first if each is not lane}}
         is_early = self._early_s(now_s) <= now_s
-        if is_early or self._free_s(now_s) <= now_s + self._company_s:
+        if is_early or (not self._is_behind(now_s) and self._free_s(now_s) <= now_s + self._company_s):
             in_turn = [each for each in self._turns.in_turn.together.ready(now_s) if each not in boarding]
             boarding |= dict.fromkeys(sorted(in_turn, key=attrgetter("start")), False)
         aboard: list[tuple[Lane, bytes]] = []
@@ -358,13 +358,14 @@ class LinkQueue(PacedQueue):
 
     # -- the daemon's price
 
-    def _free_s(self, now_s: float) -> float:
-        return max(super()._free_s(now_s), self._way_s)
-
     def _early_s(self, now_s: float) -> float:
         """Return when a topic of one packet may leave beyond its rate, before large ones (s)."""
-        rate = _SMALL_SHARE * max(self._drain_rate, _LEAST_DRAIN)
-        return max(self._turns.in_turn.together_s, now_s + self._small_debt.drain(now_s, rate) / rate)
+        share = _SMALL_SHARE - LARGE_SHARE * self._is_behind(now_s)  # a large topic catches up at twice its floor
+        paid_s = self._small_debt.paid_s(now_s, share * max(self._drain_rate, _LEAST_DRAIN))
+        return max(self._turns.in_turn.together_s, paid_s)
+
+    def _is_behind(self, now_s: float) -> bool:
+        return self._behind(now_s).due_s <= now_s
 
     @property
     def _drain_rate(self) -> float:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from arpd.model.allocation import Binding, Topic, Uniform
-from arpd.model.price import Price
+from arpd.model.price import LARGE_SHARE, Price
+from arpd.model.wire import SMALL_PACKETS
 from arpd.solve.level import TOLERANCE, Column, Yielding, water_level, yielding
 
 #: Returns ν for weights, low, high and budget.
@@ -28,6 +29,7 @@ class Rows:
         self.topics = topics
         self.weights, self.wire_bytes, self.packets = column("weight"), column("wire_bytes"), column("packets")
         self.floors_hz, self.wishes_hz = column("min_rate_hz"), column("desired_rate_hz")
+        self.are_large = self.packets > SMALL_PACKETS
         self.slots, self.min_depths, self.max_depths = column("slot_bytes"), column("min_depth"), column("max_depth")
         self.latencies_s = np.nan_to_num(column("latency_budget_s"), nan=math.inf, posinf=math.inf)  # None is nan here
 
@@ -56,14 +58,18 @@ class Link:
     ----------
     costs_s : a = k·t_ovh + s/C, link time of a message (s)
     ceilings_hz : the most that each row wants; twice what the link carries of it stands for all that is more (Hz)
+    large_level : the level at which the large rows take their part of the budget
+    floors_hz : the least of each row: what is asked, and of large ones what that level gives (Hz)
     """
 
     def __init__(self, rows: Rows, capacity: float, packet_overhead_s: float, share: float) -> None:
         self.rows, self.capacity, self.packet_overhead_s, self.share = rows, capacity, packet_overhead_s, share
         self.costs_s = rows.packets * packet_overhead_s + rows.wire_bytes / (capacity or 1.0)
-        self.floors_hz = rows.floors_hz
         self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(rows.wishes_hz, 2.0 / self.costs_s))
         self.budget = share if capacity and share >= _LEAST_SHARE else 0.0
+        self.large_level = self._large_level()
+        least_hz = np.where(rows.are_large, self.large_level * rows.weights / self.costs_s, 0.0)
+        self.floors_hz = np.clip(least_hz, rows.floors_hz, self.ceilings_hz)
 
     def price(self, find: Find = water_level) -> Price:
         """Return the price of the budget: ν, or who gives way where the floors do not fit."""
@@ -72,7 +78,8 @@ class Link:
             return self.priced(0.0, Yielding(float(rows.weights.max()), 0.0))
         if (deficit := float(low.sum()) - self.budget) > TOLERANCE * self.budget:
             return self.priced(0.0, yielding(rows.weights, low, deficit))
-        return self.priced(find(rows.weights, low, self.costs_s * self.ceilings_hz, self.budget), Yielding())
+        level = find(rows.weights, low, self.costs_s * self.ceilings_hz, self.budget)
+        return self.priced(level, Yielding())
 
     def divide(self, memory_bytes: float, find: Find) -> Division:
         """Return R = clip(ν·w/a, ℓ, u), with what the price leaves of the floors, and the histories of `_histories`."""
@@ -86,17 +93,26 @@ class Link:
 
     def bindings(self, rates_hz: Column) -> list[Binding]:
         """Return what stops each rate: its ceiling, its floor, or the link."""
-        is_full, is_floor = rates_hz >= self.ceilings_hz, np.isclose(rates_hz, self.floors_hz, rtol=1e-9, atol=0.0)
-        found = np.select(
-            [is_full, is_floor & (self.floors_hz > 0.0)], [Binding.DESIRED_RATE, Binding.MINIMUM], Binding.LINK
-        )
+        asked_hz = self.rows.floors_hz
+        is_full, is_floor = rates_hz >= self.ceilings_hz, np.isclose(rates_hz, asked_hz, rtol=1e-9, atol=0.0)
+        found = np.select([is_full, is_floor & (asked_hz > 0.0)], [Binding.DESIRED_RATE, Binding.MINIMUM], Binding.LINK)
         return [Binding(each) for each in found.tolist()]
+
+    def _large_level(self) -> float:
+        large, weights, asked = self.rows.are_large, self.rows.weights, self.costs_s * self.rows.floors_hz
+        if not large.any():
+            return 0.0
+        high = (self.costs_s * self.ceilings_hz)[large]
+        part = min(LARGE_SHARE * self.budget, self.budget - float(asked[~large].sum()))
+        level = water_level(weights[large], asked[large], high, part)
+        return min(level, float((high / weights[large]).max()))
 
     def priced(self, level: float, floors: Yielding) -> Price:
         """Return the price of a level on this link."""
         return Price(
             share_per_weight=level,
             capacity_bytes_per_second=self.capacity or 1.0,
+            large_share_per_weight=self.large_level,
             packet_overhead_s=self.packet_overhead_s,
             yielding_weight=floors.weight,
             kept_minimum=floors.kept,

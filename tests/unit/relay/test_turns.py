@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.queue import PacedQueue
 from arpd.model.plan import TopicPlan
+from arpd.model.price import LARGE_SHARE
 from arpd.relay.flight import Receipt
 from arpd.relay.link_queue import LinkQueue
 from tests.examples import examples
@@ -107,10 +109,12 @@ def test_many_small_topics_fill_a_link_that_they_overload():
     assert link.run(5.0).total() / 5.0 > 0.9
 
 
-def withheld_beside_cameras(share, *topics):
+def withheld_beside_cameras(share, *topics, large_share=0.0):
     """Return what topics with this rate, size and wire size lose in 3 s, and how many pictures of two cameras cross."""
     link = Link(capacity=SLOW)
-    price = replace(price_of(share), capacity_bytes_per_second=SLOW, budget_share=0.85)
+    price = replace(
+        price_of(share), capacity_bytes_per_second=SLOW, budget_share=0.85, large_share_per_weight=large_share
+    )
     for number, (rate_hz, size, wire_bytes) in enumerate(topics):
         link.lane(
             number, replace(ROW, rate_hz=1.25 * rate_hz, wire_bytes=wire_bytes, packets=1), price, has_company=True
@@ -150,9 +154,44 @@ def test_a_picture_costs_topics_of_one_packet_nothing_where_they_fit():
 
 def test_a_part_of_the_link_is_left_to_pictures():
     """Joint states that would fill it have most of it beyond their rate, and no more."""
-    withheld, pictures = withheld_beside_cameras(0.15, (1500.0, 400, 586.0), *ARM)
+    withheld, pictures = withheld_beside_cameras(0.15, (1500.0, 400, 586.0), *ARM, large_share=LARGE_SHARE / 2)
     assert withheld > 1000
-    assert pictures > 4
+    assert pictures in range(2, 6)
+
+
+def beside_forty_topics(floor_hz, size):
+    """Return how many pictures with this floor and size come in 6 s, beside topics that would fill the link."""
+    link = Link(capacity=SLOW)
+    price = replace(price_of(0.02), capacity_bytes_per_second=SLOW, budget_share=0.85)
+    for number in range(40):
+        row = replace(ROW, rate_hz=50.0, wire_bytes=800.0, packets=1)
+        link.lane(number, row, price, has_company=True)
+        link.after(0.0007 * number, partial(link.publish, number, 40.0, 400))
+    plan = replace(ROW, rate_hz=25.0, min_rate_hz=floor_hz, wire_bytes=1.14 * size, packets=size / 1200)
+    link.lane("pictures", plan, price)
+    link.publish("pictures", 20.0, size)
+    link.run(6.0)
+    return len(link.arrived["pictures"])
+
+
+def test_a_picture_keeps_its_floor_though_small_topics_fill_the_link():
+    """What they have beyond their rates comes after it."""
+    assert beside_forty_topics(0.0, 30_000) < 4
+    assert beside_forty_topics(2.0, 30_000) in (11, 12, 13)
+
+
+def test_a_map_below_its_floor_lets_pictures_by():
+    """It catches up for half a second of the link, and then takes turns with them."""
+    link = Link(capacity=SLOW)
+    price = replace(price_of(1.0), capacity_bytes_per_second=SLOW)
+    link.lane("pictures", replace(ROW, rate_hz=12.5, wire_bytes=34_000.0, packets=25), price)
+    link.lane("map", replace(ROW, rate_hz=1.0, min_rate_hz=0.1, wire_bytes=2_300_000.0, packets=1700), price)
+    link.publish("pictures", 10.0, 30_000)
+    link.run(2.0)
+    link.offer("map", bytes(2_000_000))
+    link.run(12.0)
+    assert [len(message) for message in link.arrived["map"]] == [2_000_000]
+    assert max(late - early for early, late in pairwise(link.arrived_s["pictures"])) < 1.5
 
 
 def test_commands_leave_though_the_robots_topics_fill_the_link():

@@ -18,6 +18,7 @@ PRICES = st.builds(
     ),
     share_per_weight=st.floats(0.0),
     capacity_bytes_per_second=POSITIVE,
+    large_share_per_weight=st.floats(0.0, allow_infinity=False),
     packet_overhead_s=st.floats(0.0, allow_infinity=False),
     yielding_weight=st.floats(0.0, allow_infinity=False),
     kept_minimum=PART,
@@ -25,7 +26,7 @@ PRICES = st.builds(
     budget_share=PART,
     spare_share=PART,
 )
-GOOD = [1.0, math.inf, 1e6, 0.0001, 2.0, 0.5, 0.02, 0.85, 0.1]
+GOOD = [1.0, math.inf, 1e6, 0.01, 0.0001, 2.0, 0.5, 0.02, 0.85, 0.1]
 
 
 @given(PRICES)
@@ -42,12 +43,14 @@ def test_a_price_is_read_as_it_was_sent(price):
         (1, -0.1),
         (2, 0.0),
         (2, math.inf),
-        (3, -1e-9),
-        (4, -1.0),
-        (5, 1.1),
-        (6, math.inf),
-        (7, math.nan),
-        (8, 0.9),
+        (3, -0.1),
+        (3, math.inf),
+        (4, -1e-9),
+        (5, -1.0),
+        (6, 1.1),
+        (7, math.inf),
+        (8, math.nan),
+        (9, 0.9),
     ],
 )
 def test_a_number_that_no_price_has_is_refused(place, value):

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -125,6 +126,25 @@ def test_weight_divides_link_and_memory(backend):
     short = solved(program(backend), 2e5, topics, 40_000.0)
     assert [row.depth_applied for row in short.topics] == [10, 30]
     assert short.binding is Binding.MEMORY
+
+
+@pytest.mark.parametrize("backend", Backend)
+def test_large_topics_have_a_part_of_a_link_that_small_ones_would_fill(backend):
+    """They divide 15 % by weight, get no more than they want, and take nothing of a minimum rate that was asked for."""
+    camera, clouds = {"wire_bytes": 50_000.0, "packets": 40}, {"wire_bytes": 400_000.0, "packets": 280, "weight": 2.0}
+    small = [topic(f"/t{number:02}") for number in range(40)]
+    large = [topic("/a", **camera, min_rate_hz=0.0), topic("/b", **clouds, min_rate_hz=0.0)]
+    answer = solved(program(backend), 1e6, [*large, *small], AMPLE).topics
+    assert [row.share for row in answer[:2]] == pytest.approx([0.85 * 0.05, 0.85 * 0.1], rel=1e-6)
+    assert [row.binding for row in answer[:2]] == [Binding.LINK, Binding.LINK]
+    assert math.fsum(row.share for row in answer) == pytest.approx(0.85, rel=1e-6)
+    modest = replace(large[1], desired_rate_hz=0.1)
+    answer = solved(program(backend), 1e6, [large[0], modest, *small], AMPLE).topics
+    assert [row.share for row in answer[:2]] == pytest.approx([0.85 * 0.15 - 0.04, 0.04], rel=1e-6)
+    asking = [replace(each, min_rate_hz=20.0) for each in small]
+    answer = solved(program(backend), 1e6, [*large, *asking], AMPLE)
+    assert math.fsum(row.share for row in answer.topics[:2]) == pytest.approx(0.05, rel=1e-6)
+    assert not answer.degradation
 
 
 def test_the_heaviest_is_cut_last(monkeypatch):
