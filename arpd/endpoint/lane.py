@@ -23,6 +23,7 @@ SMALL_BYTES = SMALL_PACKETS * FRAGMENT_BYTES - _HEADER_BYTES
 _PACKET_BYTES = FRAGMENT_BYTES - _HEADER_BYTES
 _LEAST_BURST, _BURST_S = 2.0, 0.3  # of a bucket: samples, and time of its rate; several nodes may publish at once
 _UNPACED_BURST, _MOST_BRIEFLY = 10.0, 1000.0  # samples that may wait where no rate is set, and in a dip
+_BRIEFLY_S = 0.01  # from one departure of small samples to the next, with company and a chunk before them
 #: Times its usual rate at which leaves what has waited; a burst would crowd the link, and overrun readers.
 CATCH_UP = 2.0
 _AT_ONCE_S, _LATE_S = 0.5, 0.1  # below its floor: of the link for one message, and so much sooner comes the next
@@ -136,7 +137,7 @@ class Lane:
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
         self.rate_hz = math.inf
-        self._dip_depth = int(_MOST_BRIEFLY)  # small samples of a source that may wait in a dip of the rate
+        self._brief_depth, self._dip_depth = 1, int(_MOST_BRIEFLY)  # small samples that may wait always, and in a dip
         self._is_thinned = False
         self._thinned = 0
         self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
@@ -208,6 +209,7 @@ class Lane:
         self._cap.retune(cap_hz, usual_hz=plan.rate_hz)
         self._allowed.retune(allowed_hz, usual_hz=allowed_hz)
         self._dip_depth = int(min(_MOST_BRIEFLY, max(_LEAST_BURST, _BURST_S * cap_hz)))
+        self._brief_depth = int(min(_UNPACED_BURST, 1.0 + _BRIEFLY_S * plan.rate_hz))
         floor_hz = plan.min_rate_hz if price is None else price.floor_hz(plan)
         self._floor_s = 1.0 / floor_hz if floor_hz > 0.0 else math.inf
 
@@ -378,7 +380,7 @@ class Lane:
         Within its rate a sample waits for no more than the thread that writes it and the link's next room; and in a dip
         of the rate, as after a fall of the link, until it is over. The next dip begins when all that waited has left.
         """
-        most = max(1, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
+        most = max(self._brief_depth, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
         if waiting > most:
             if self._dip_s == -math.inf and now_s - self._short_s > _CALM_S:
                 self._dip_s = now_s

@@ -194,6 +194,29 @@ def test_a_map_below_its_floor_lets_pictures_by():
     assert max(late - early for early, late in pairwise(link.arrived_s["pictures"])) < 1.5
 
 
+def test_a_quick_topic_that_has_lost_samples_does_not_go_on_losing_them():
+    """After a second of a price that costs some, those that come between two departures leave with the second one."""
+    link, lanes = Link(capacity=SLOW), {}
+    plan = replace(ROW, rate_hz=625.0, wire_bytes=586.0, packets=1)
+    for name in ("joints", "wrench"):
+        lanes[name] = link.lane(name, plan, has_company=True)
+        link.publish(name, 500.0, 250)
+    camera = link.lane("camera", ROW)
+    link.publish("camera", 15.0)
+    lost = []
+    for capacity in (SLOW, SLOW / 3, SLOW):
+        price = replace(price_of(0.2), capacity_bytes_per_second=capacity, budget_share=0.85)
+        for lane in lanes.values():
+            link.queue.retune(lane, plan, price)
+        link.queue.retune(camera, ROW, price)
+        link.run(1.0)
+        before = sum(lane.withheld.total() for lane in lanes.values())
+        link.run(1.0)
+        lost.append(sum(lane.withheld.total() for lane in lanes.values()) - before)
+    assert lost[1] > 100
+    assert max(lost[0], lost[2]) < 10
+
+
 def test_commands_leave_though_the_robots_topics_fill_the_link():
     """A topic of one packet has a part of it that nobody has planned for, as the only one of its end."""
     link = Link(capacity=SLOW / 2.5)
