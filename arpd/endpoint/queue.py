@@ -206,8 +206,8 @@ class PacedQueue:
         first_s = self._first(now_s).due_s
         if first_s <= now_s or not self._has_room():
             return first_s
-        in_turn_s = max(self._in_turn(now_s).due_s, self._free_s(now_s))
-        return min(first_s, in_turn_s, self._behind(now_s).due_s)
+        turns = self._in_turn(now_s)
+        return min(first_s, self._behind(turns).due_s, max(turns.due_s, self._free_s(now_s)))
 
     @property
     def is_waiting(self) -> bool:
@@ -232,9 +232,10 @@ class PacedQueue:
             return first[0], True
         if not self._has_room():
             return None
-        ready = self._behind(now_s).ready(now_s)
+        turns = self._in_turn(now_s)
+        ready = self._behind(turns).ready(now_s)
         if not ready and self._free_s(now_s) <= now_s + SOON_S:
-            ready = self._in_turn(now_s).ready(now_s)
+            ready = turns.ready(now_s)
         return (min(ready, key=self._finish), False) if ready else None
 
     def _first(self, now_s: float) -> Times:
@@ -249,9 +250,8 @@ class PacedQueue:
             if lane.claimant is None
         )
 
-    def _behind(self, now_s: float) -> Times:
+    def _behind(self, turns: Times) -> Times:
         """Return when those of them may that are below their floor then, whatever has left before."""
-        turns = self._in_turn(now_s)
         return Times((lane, max(due_s, lane.behind_s, self._way_s)) for lane, due_s in turns.items())
 
     def _finish(self, lane: Lane) -> float:

@@ -365,7 +365,7 @@ class LinkQueue(PacedQueue):
         return max(self._turns.in_turn.together_s, paid_s)
 
     def _is_behind(self, now_s: float) -> bool:
-        return self._behind(now_s).due_s <= now_s
+        return self._behind(self._turns.in_turn).due_s <= now_s
 
     @property
     def _drain_rate(self) -> float:

@@ -111,6 +111,9 @@ class AlikeOnLink(Link):
         price = self.priced(level, Yielding(_WEIGHT if kept < 1.0 else 0.0, kept))
         return replace(price, packet_overhead_s=0.0)
 
+    def _large_level(self) -> float:
+        return 0.0  # no topic has a rate of its own
+
     def divide(self, memory_bytes: float, find: Find) -> Division:
         """Return R for all but slower sources, and D = clip(τ·R − Dmin, Dmin, Dmax) or what memory holds."""
         rows, rate_hz = self.rows, self._rate_hz

@@ -58,48 +58,50 @@ class Link:
     ----------
     costs_s : a = k·t_ovh + s/C, link time of a message (s)
     ceilings_hz : the most that each row wants; twice what the link carries of it stands for all that is more (Hz)
+    floors_hz : the minimum rate that is asked for each row (Hz)
     large_level : the level at which the large rows take their part of the budget
-    floors_hz : the least of each row: what is asked, and of large ones what that level gives (Hz)
+    least_hz : the floor of each row: what is asked, and of large ones what that level gives (Hz)
     """
 
     def __init__(self, rows: Rows, capacity: float, packet_overhead_s: float, share: float) -> None:
         self.rows, self.capacity, self.packet_overhead_s, self.share = rows, capacity, packet_overhead_s, share
         self.costs_s = rows.packets * packet_overhead_s + rows.wire_bytes / (capacity or 1.0)
+        self.floors_hz = rows.floors_hz
         self.ceilings_hz = np.maximum(rows.floors_hz, np.minimum(rows.wishes_hz, 2.0 / self.costs_s))
         self.budget = share if capacity and share >= _LEAST_SHARE else 0.0
         self.large_level = self._large_level()
         least_hz = np.where(rows.are_large, self.large_level * rows.weights / self.costs_s, 0.0)
-        self.floors_hz = np.clip(least_hz, rows.floors_hz, self.ceilings_hz)
+        self.least_hz = np.clip(least_hz, rows.floors_hz, self.ceilings_hz)
 
     def price(self, find: Find = water_level) -> Price:
         """Return the price of the budget: ν, or who gives way where the floors do not fit."""
-        rows, low = self.rows, self.costs_s * self.floors_hz
+        rows, low = self.rows, self.costs_s * self.least_hz
         if not self.budget:
             return self.priced(0.0, Yielding(float(rows.weights.max()), 0.0))
         if (deficit := float(low.sum()) - self.budget) > TOLERANCE * self.budget:
             return self.priced(0.0, yielding(rows.weights, low, deficit))
-        level = find(rows.weights, low, self.costs_s * self.ceilings_hz, self.budget)
-        return self.priced(level, Yielding())
+        return self.priced(find(rows.weights, low, self.costs_s * self.ceilings_hz, self.budget), Yielding())
 
     def divide(self, memory_bytes: float, find: Find) -> Division:
         """Return R = clip(ν·w/a, ℓ, u), with what the price leaves of the floors, and the histories of `_histories`."""
         price, rows = self.price(find), self.rows
         floors = Yielding(price.yielding_weight, price.kept_minimum)
         level_hz = price.share_per_weight * rows.weights / self.costs_s
-        rates_hz = np.clip(level_hz, self.floors_hz * floors.parts(rows.weights), self.ceilings_hz)
-        words = floors.words("minimum rate", rows.weights, self.floors_hz) if self.budget else [NO_CAPACITY]
+        rates_hz = np.clip(level_hz, self.least_hz * floors.parts(rows.weights), self.ceilings_hz)
+        words = floors.words("minimum rate", rows.weights, self.least_hz) if self.budget else [NO_CAPACITY]
         depths, bindings, cut = self._histories(memory_bytes, find)
         return Division(price, rates_hz, depths, bindings, words + cut)
 
     def bindings(self, rates_hz: Column) -> list[Binding]:
         """Return what stops each rate: its ceiling, its floor, or the link."""
-        asked_hz = self.rows.floors_hz
-        is_full, is_floor = rates_hz >= self.ceilings_hz, np.isclose(rates_hz, asked_hz, rtol=1e-9, atol=0.0)
-        found = np.select([is_full, is_floor & (asked_hz > 0.0)], [Binding.DESIRED_RATE, Binding.MINIMUM], Binding.LINK)
+        is_full, is_floor = rates_hz >= self.ceilings_hz, np.isclose(rates_hz, self.floors_hz, rtol=1e-9, atol=0.0)
+        found = np.select(
+            [is_full, is_floor & (self.floors_hz > 0.0)], [Binding.DESIRED_RATE, Binding.MINIMUM], Binding.LINK
+        )
         return [Binding(each) for each in found.tolist()]
 
     def _large_level(self) -> float:
-        large, weights, asked = self.rows.are_large, self.rows.weights, self.costs_s * self.rows.floors_hz
+        large, weights, asked = self.rows.are_large, self.rows.weights, self.costs_s * self.floors_hz
         if not large.any():
             return 0.0
         high = (self.costs_s * self.ceilings_hz)[large]
