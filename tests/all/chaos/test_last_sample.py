@@ -32,12 +32,14 @@ publisher.publish(String(data="begin"))
 assert publisher.wait_for_all_acked(Duration(seconds=30))
 for word in ("go on", "go on", "stop"):
     publisher.publish(String(data=word))
-# As Ctrl-C comes, while it spins: rclpy's `spin` fails if its context ends while it makes its executor.
+# As Ctrl-C comes, while it spins: rclpy's `spin` fails if its context ends while it makes its executor, or a wait set.
 node.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGINT))
 try:
     rclpy.spin(node)
 except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
     pass
+except RuntimeError:
+    assert not rclpy.ok()
 """
 
 
