@@ -131,18 +131,15 @@ class Lane:
         self._patience_s = patience_s
         self._begun_waiting_s = math.inf  # when its first sample came while a daemon was there
         self.claimant: int | None = None
-        self.is_closing = False
+        self.is_closing = self.may_be_freight = False
         self.blocked_s = 0.0
-        self.may_be_freight = False
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
-        self.rate_hz = math.inf
+        self.rate_hz = self._floor_s = math.inf
         self._brief_depth, self._dip_depth = 1, int(_MOST_BRIEFLY)  # small samples that may wait always, and in a dip
-        self._is_thinned = False
-        self._thinned = 0
+        self._is_thinned, self._thinned = False, 0
         self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
         self._before_s = self._begun_s = 0.0  # when the last message but one began, and the last, or should have
-        self._floor_s = math.inf
         self.plan = _UNPLANNED
         self.price: Price | None = None
         self.current: UnderWay | None = None
@@ -243,7 +240,7 @@ class Lane:
         if self.is_kept and not self._is_ordered and self._cap.due_s(now_s) > now_s:
             most = 1  # its source is faster than its configured rate, so what waits would only grow
         if most == 1 and not is_out and all(len(each.message) <= SMALL_BYTES for each in line):
-            most = self._most_small(len(line), now_s)
+            most = self._most_small(len(line), now_s, is_held_up=is_held_up)
         while len(line) > most:
             line.popleft()
             self._is_thinned = True
@@ -374,13 +371,16 @@ class Lane:
         if self.price is not None:
             self._begun_waiting_s = min(self._begun_waiting_s, now_s)
 
-    def _most_small(self, waiting: int, now_s: float) -> int:
+    def _most_small(self, waiting: int, now_s: float, *, is_held_up: bool) -> int:
         """Return how many small samples of a source may wait.
 
         Within its rate a sample waits for no more than the thread that writes it and the link's next room; and in a dip
         of the rate, as after a fall of the link, until it is over. The next dip begins when all that waited has left.
+        Without a rate all leave at once, but not on a link that is full of them: then the newest waits.
         """
-        most = max(self._brief_depth, int(min(self._cap.credit(now_s), self._allowed.credit(now_s))))
+        is_full = is_held_up and math.isinf(self.plan.rate_hz)
+        credit = min(self._cap.credit(now_s), self._allowed.credit(now_s))
+        most = 1 if is_full else max(self._brief_depth, int(credit))
         if waiting > most:
             if self._dip_s == -math.inf and now_s - self._short_s > _CALM_S:
                 self._dip_s = now_s

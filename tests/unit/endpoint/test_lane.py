@@ -144,6 +144,18 @@ def test_a_burst_of_small_samples_costs_none_where_no_rate_is_set():
     assert [number for _, number in leave_all(lane)] == [*range(90, 100)]
 
 
+def test_what_has_no_rate_stays_new_where_the_link_takes_nothing():
+    """A fifth of a second of that costs no sample; where it lasts, the newest waits."""
+    lane = make()
+    for number in range(10):
+        lane.offer(b"%4d" % number, 0.02 * number, is_held_up=True)
+    assert len(lane) == 10
+    for number in range(10, 50):
+        lane.offer(b"%4d" % number, 0.02 * number, is_held_up=True)
+    assert leave_all(lane) == [(None, 49)]
+    assert lane.withheld == {"blocked": 49}
+
+
 @pytest.mark.parametrize("more", [1, 60])
 def test_a_burst_that_leaves_slowly_keeps_no_newer_sample_waiting(more):
     """At 5 Hz a burst of 60 leaves whole if nothing follows; what follows every 2 s waits for no older one."""
