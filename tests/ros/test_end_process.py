@@ -141,6 +141,25 @@ def test_an_end_that_was_held_up_stays_with_the_other_one(ros, monkeypatch, even
         assert end._there.session == 1
 
 
+def test_an_end_of_another_robot_condemns_none_that_works(ros, eventually):
+    """Its message is named only while there is no other end."""
+    nodes, others = [ros.elsewhere(domain).idle_node("end") for domain in (ROBOT, LINK)], ros.elsewhere(LINK)
+    settings = RelaySettings(link_domain=LINK, robot="127.0.0.1")
+    with closing(End(*nodes, settings, is_far=False, on_change=lambda _status: None)) as end:
+
+        def fault():
+            end.tick()
+            return end._summary(time.monotonic()).fault
+
+        _stranger = Stranger(others.node("stranger"), namespace="/robot2")
+        eventually("the stranger is named", lambda: "/robot2" in fault())
+        first = Another(others.node("first"))
+        eventually("the right one works", lambda: first.live() or not fault())
+        _stranger_again = Stranger(others.node("again"), namespace="/robot3")
+        eventually("its message has come", lambda: first.live() or fault() or "/robot3" in end._fault)
+        assert not fault()
+
+
 def test_an_end_that_slept_sends_its_histories_again(ros, monkeypatch, eventually):
     """The other end took that for an outage, and has forgotten what it got; late readers there would lack the map."""
     monkeypatch.setattr("arpd.relay.partner._GONE_S", 1.0)

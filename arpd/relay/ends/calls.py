@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason, Outcome, Request
 from arpd.relay.ends.offers import ServiceOffer
-from arpd.relay.ends.services import GhostServer, LocalClient, failed_response
+from arpd.relay.ends.services import GhostServer, LocalClient, class_of, failed_response
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph_view import GraphView
 from arpd.ros.names import is_full_name
@@ -132,7 +132,7 @@ class Calls:
                 servers[name] = [each for each in self._view.servers(local) if each.participant not in ours]
         self.offers = {name: offer for name, found in servers.items() if (offer := self._offer(name, found))}
         for name, client in [*self._clients.items()]:
-            client.forget_given_up()
+            client.follow(frozenset(each.gid for each in servers.get(name, ())))
             if self.offers.get(name) != client.offer:
                 self._clients.pop(name).destroy()
         offered, self._session_there = self.offered
@@ -184,6 +184,7 @@ class Calls:
 
     def _ghost(self, name: str, offer: ServiceOffer) -> GhostServer:
         local, on_request = self._side.local_name(name), partial(self._call, name)
+        class_of(offer)  # raises before there is a node, which would come and go with every look
         return self._nodes.give(
             self._side.local_name(offer.node), lambda node: GhostServer(node, offer, local, self.thread, on_request)
         )

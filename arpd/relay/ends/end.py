@@ -304,7 +304,8 @@ class End:
                 told.hurry()
 
     def _summary(self, now_s: float) -> RelaySummary:
-        here, there, fault = self._told, self._there, self._fault
+        here, there = self._told, self._there
+        fault = self._fault if there is NOBODY else ""  # another robot's end, perhaps, while the right one works
         is_settled = now_s - self._begun_s > _LINGER_S  # this computer may have had another address
         if there is NOBODY and is_settled and (hosts := self._partner.elsewhere(now_s)):
             another = "base computer's end; a robot has one" if self._is_far else f"robot's end; {_OWN_DOMAIN}"

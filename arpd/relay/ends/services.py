@@ -29,6 +29,7 @@ _QOS = QoSProfile(depth=100)
 _AT_ONCE, _BURST_S = 5, 0.02  # messages leave in bursts: a client and a server of ROS have histories of ten
 _SETTLED_S = 0.3  # for a server to match a client: rmw_fastrtps drops a response whose reader stays unknown for 100 ms
 _STATUS_ABORTED = 6  # action_msgs/msg/GoalStatus
+_GONE = "its server is gone"
 
 
 class _Endpoint(Inlet):
@@ -85,7 +86,7 @@ class GhostServer(_Endpoint):
     def __init__(
         self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, on_request: Callable[[Any, Any], None]
     ) -> None:
-        self.offer, self.kind = offer, _class_of(offer)
+        self.offer, self.kind = offer, class_of(offer)
         self._node, self._on_request = node, on_request
         self._server = node.create_service(self.kind, name, lambda _request, answer: answer, **_options())
         super().__init__(self._server, name, rcl().notify_server, thread)
@@ -122,10 +123,11 @@ class LocalClient(_Endpoint):
     """
 
     def __init__(self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, book: CallBook) -> None:
-        self.offer, self._kind = offer, _class_of(offer)
+        self.offer, self._kind = offer, class_of(offer)
         self._node, self._book = node, book
         self._matched_s = math.inf  # when it began to see its server
-        self._running: dict[int, CallId] = {}  # by the number that each request has here
+        # By the number that each request has here: its call, and the servers that may have it.
+        self._running: dict[int, tuple[CallId, frozenset[bytes]]] = {}
         self._client = node.create_client(self._kind, name, **_options())
         super().__init__(self._client, name, rcl().notify_client, thread)
 
@@ -133,8 +135,8 @@ class LocalClient(_Endpoint):
         """Take a response; return how many may be left."""
         with self.handle:
             header, response = self.handle.take_response(self._kind.Response)
-        if header is not None and (call := self._running.pop(header.request_id.sequence_number, None)) is not None:
-            self._book.finish(call, bytes(serialize_message(response)))
+        if header is not None and (run := self._running.pop(header.request_id.sequence_number, None)) is not None:
+            self._book.finish(run[0], bytes(serialize_message(response)))
         return 0 if header is None else announced
 
     def _is_ready(self, now_s: float) -> bool:
@@ -148,23 +150,36 @@ class LocalClient(_Endpoint):
         try:
             with self.handle:
                 number = self.handle.send_request(deserialize_message(request, self._kind.Request))
-                self._running[number] = call
+                self._running[number] = call, frozenset()
         except (RuntimeError, ValueError) as error:
             self._book.finish(call, CallFailure(FailureReason.TYPE, f"its request cannot be sent: {error}"))
         return 1
 
-    def forget_given_up(self) -> None:
-        """Forget the calls whose outcome nobody awaits, also those that wait for a server that never matches."""
+    def follow(self, servers: frozenset[bytes]) -> None:
+        """Forget the calls whose outcome nobody awaits, also those that wait for a server that never matches.
+
+        A server that is started anew knows nothing of the requests to the one before: a call fails once all are gone
+        that were there at the first look after its request.
+
+        Parameters
+        ----------
+        servers : GUIDs of those that the graph shows now
+        """
+        for call, asked in self._running.values():
+            if asked and not asked & servers:
+                self._book.finish(call, CallFailure(FailureReason.NO_SERVER, _GONE))
         self._waiting = deque(each for each in self._waiting if self._book.runs(each[0]))
-        self._running = {number: call for number, call in self._running.items() if self._book.runs(call)}
+        self._running = {
+            number: (call, asked or servers) for number, (call, asked) in self._running.items() if self._book.runs(call)
+        }
 
     def destroy(self) -> None:
         """Remove the client; its calls fail.
 
         So does the end that asked, where it hears that their service is not offered; in an outage it does not.
         """
-        for call in (*self._running.values(), *(call for call, _ in self._waiting)):
-            self._book.finish(call, CallFailure(FailureReason.NO_SERVER, "its server is gone"))
+        for call, _ in (*self._running.values(), *self._waiting):
+            self._book.finish(call, CallFailure(FailureReason.NO_SERVER, _GONE))
         super().destroy()
         self._node.destroy_client(self._client)
 
@@ -174,7 +189,7 @@ def _options() -> dict[str, Any]:
     return {"qos_profile": _QOS, "callback_group": ReentrantCallbackGroup()}
 
 
-def _class_of(offer: ServiceOffer) -> Any:
+def class_of(offer: ServiceOffer) -> Any:
     """Return the class of a service; UnknownTypeError = there is none, or another one, here."""
     kind = service_class(offer.type_name)
     for message, type_hash in zip((kind.Request, kind.Response), offer.type_hashes, strict=True):

@@ -116,11 +116,11 @@ def test_requests_that_were_given_up_do_not_wait_for_a_server_that_never_matches
     world.is_there = False
     for number in (1, 200, 201):
         client.send(number, request(number))
-    client.forget_given_up()
+    client.follow(frozenset())
     assert len(client._waiting) == 1
     client._waiting.clear()
     client.send(202, request(202))
-    client.forget_given_up()
+    client.follow(frozenset())
     assert client.release(100.0) == math.inf
 
 
@@ -147,6 +147,23 @@ def test_calls_fail_when_their_server_goes(world, client):
     client.send(2, request(2))
     client.destroy()
     assert world.sent == [1]
+    assert {call: failure.reason for call, failure in client.ended.items()} == dict.fromkeys(
+        (1, 2), FailureReason.NO_SERVER
+    )
+
+
+def test_calls_fail_once_none_of_the_servers_is_left_that_may_have_them(world, client):
+    """A component that is loaded anew has the same name, and knows nothing of the goals of the one before."""
+    for number, now_s in ((1, 100.0), (2, 101.0)):
+        client.send(number, request(number))
+        client.release(now_s)
+        client.release(now_s + 0.5)
+        client.follow(frozenset({b"old", b"other"}))
+    client.send(3, request(3))
+    client.release(102.0)
+    client.follow(frozenset({b"new", b"other"}))
+    assert not client.ended
+    client.follow(frozenset({b"new"}))
     assert {call: failure.reason for call, failure in client.ended.items()} == dict.fromkeys(
         (1, 2), FailureReason.NO_SERVER
     )
@@ -215,6 +232,13 @@ def test_a_call_of_a_server_that_goes_fails_at_once(end):
     end._ghosts["/set"].release(time.monotonic())
     end._follow({}, SESSION, ())
     assert [each if isinstance(each, str) else each[0] for each in end.did] == ["late", "gone"]
+
+
+def test_a_service_that_cannot_be_served_here_makes_no_node(end):
+    """Its node would come and go with every look, and each process of the domain would hear of it."""
+    end._nodes.give = lambda *_: pytest.fail("there is a node")
+    end._follow({**OFFERED, "/vendor": ServiceOffer(type_name="vendor_msgs/srv/Calibrate", node="/v")}, SESSION, ())
+    assert "vendor_msgs" in end.refused["/vendor"]
 
 
 def test_a_server_that_gives_way_to_one_of_this_side_takes_no_call(end):
