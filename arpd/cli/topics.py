@@ -175,7 +175,7 @@ def _summary(found: TopicList) -> list[str]:
     measured = [topic for topic in found.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
     unknown = len(found.topics) - len(measured)
-    crosses = f"{len(crossing)} of them cross the link now: {_publish(crossing)}" if crossing else "none crosses now"
+    crosses = f"{_publish(crossing)} of {len(crossing)} are wanted beyond the link" if crossing else "none crosses now"
     lines = [
         _LEGEND,
         f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {crosses}"

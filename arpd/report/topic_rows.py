@@ -49,7 +49,8 @@ class Topic:
     @property
     def is_behind(self) -> bool:
         """Whether it leaves far more slowly than its source and the last tick let it; not of one that is silent."""
-        return self.planned is not None and 0.0 < self.confirmed.published_rate_hz < _BEHIND_BELOW * self.most_hz
+        is_judged = self.planned is not None and self.allocation is not None
+        return is_judged and 0.0 < self.confirmed.published_rate_hz < _BEHIND_BELOW * self.most_hz
 
     @property
     def most_hz(self) -> float:

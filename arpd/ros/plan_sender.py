@@ -66,7 +66,8 @@ class PlanSender:
             self.results["timeout"] += len(silent)
             log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
-        self._sent, self._sent_s, self._awaited = wanted, now_s, set(missing)
+        self._sent, self._sent_s = wanted, now_s
+        self._awaited = {node for node in missing if not _is_answered(plan.generation, answers.get(node, NO_PLAN))}
         if self._writer is None:
             self._writer = self._ros.create_publisher(UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=NO_EVENTS)
         self._writer.publish(wrap(encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)))
@@ -84,11 +85,14 @@ class PlanSender:
         generation = self._sent[0]
         for node in tuple(self._awaited):
             answer = answers.get(node, NO_PLAN)
-            if answer.refusal and answer.refused == generation:
-                self.results["refused"] += 1
-                log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
-            elif answer.generation == generation:
-                self.results["ok"] += 1
-            else:
+            if not _is_answered(generation, answer):
                 continue
             self._awaited.discard(node)
+            is_refusal = bool(answer.refusal) and answer.refused == generation
+            self.results["refused" if is_refusal else "ok"] += 1
+            if is_refusal:
+                log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
+
+
+def _is_answered(generation: int, answer: PlanAnswer) -> bool:
+    return generation in {answer.generation, answer.refused}

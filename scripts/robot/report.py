@@ -55,8 +55,8 @@ def verdict(pairs: Sequence[Pair]) -> tuple[bool, str]:
     if worse:
         return False, f"Not better on {', '.join(worse)} ({len(overloaded)} topics were overloaded)."
     return True, (
-        f"On all {len(overloaded)} topics the link could not carry, arpd had less loss, "
-        "a lower p99 latency (a lost sample never arrives) and a lower p99 age."
+        f"On all {len(overloaded)} topics the link could not carry in time, arpd had a lower p99 latency (a lost "
+        "sample never arrives), a lower p99 age, and less loss where there was any."
     )
 
 

@@ -52,6 +52,14 @@ def test_a_link_is_not_enough_where_a_topic_does_not_leave_as_it_may():
         assert ("leaves at 5 of 12 Hz, though 4 Mbit/s would be enough; " in verdict.text) is (published_hz == 5.0)
 
 
+def test_a_topic_whose_far_reader_has_left_is_not_behind():
+    """Its plan and max_rate_hz stay for a while, and the program no longer has it."""
+    camera = replace(changed().observation.publishers[-1], published_rate_hz=5.0)
+    allocation = {"topics": [topic for topic in changed().allocation.topics if topic.name != camera.topic]}
+    observation = {"publishers": (*changed().observation.publishers[:-1], camera)}
+    assert judge(changed(observation=observation, allocation=allocation, **CALM)).verdict.condition is Condition.CLEAR
+
+
 def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
     """Of 30 Hz, 12.5 are all that max_rate_hz lets go."""
     publishers = (

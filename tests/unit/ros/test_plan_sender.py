@@ -63,11 +63,11 @@ def test_a_new_plan_does_not_wait(send):
 
 
 def test_an_answer_counts_once(send):
-    """A refusal of this plan counts, and one of another does not."""
+    """A refusal of this plan counts, not again when that is sent again, and one of another does not."""
     send(0.0)
     send(0.5, answer=PlanAnswer(2, 0.0, 1, "too old"))
     assert send.sender.results == {}
-    for now_s in (1.0, 1.5):
+    for now_s in (1.0, 1.5, 6.0, 6.5):
         send(now_s, answer=PlanAnswer(2, 0.0, 3, "/t: depth"))
     assert send.sender.results == {"refused": 1}
 
