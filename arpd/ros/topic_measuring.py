@@ -34,6 +34,7 @@ _TURN_S = 0.05
 _ENOUGH_BYTES, _ENOUGH_SAMPLES = 32e6, 2000
 _LEAST_SAMPLES = 10  # of large messages, so that their rate is known
 _INSTANT_S = 1e-3  # arrivals are not known better
+_SILENT = 10.0  # times as long
 
 
 @dataclass(slots=True)
@@ -50,13 +51,14 @@ class _Writer:
         """Return its rate.
 
         Between the first and the last of n samples there are n - 1 periods. In a burst these are short, but where none
-        was lost there are only n samples until now; a steady writer has at least as many as its periods say.
+        was lost there are only n samples until now; a steady writer has at least as many as its periods say. Where some
+        were lost the last ones may be, too, but not for ten times as long as all others took.
         """
         samples = self.last - self.first + 1
         if samples == 1:  # its period is unknown, but as long as the wait
             return 1.0 / max(now_s - since_s, _INSTANT_S)
         steady_hz = (samples - 1) / max(self.last_s - self.first_s, _INSTANT_S)
-        if self.arrived < samples:
+        if self.arrived < samples and now_s - self.last_s < _SILENT * (self.last_s - self.first_s):
             return steady_hz
         return min(steady_hz, samples / max(now_s - self.first_s, _INSTANT_S))
 

@@ -27,6 +27,15 @@ def test_a_steady_writer_has_its_rate_although_samples_are_lost(rate_hz, begun_s
     assert meter.traffic(5.0).rate_hz == pytest.approx(rate_hz, rel=0.01)
 
 
+@pytest.mark.parametrize("lost", [0, 1, 14])
+def test_one_burst_is_no_rate_although_samples_of_it_are_lost(lost):
+    """Twenty at once in ten seconds are two a second, of which the reader has room for some."""
+    meter = TopicMeter(rated_from_s=0.0)
+    for number in (*range(5), *range(5 + lost, 20)):
+        meter.add(writer=b"w", number=number, size_bytes=100, at_s=0.5 + number * 1e-4)
+    assert meter.traffic(10.0).rate_hz == pytest.approx(2.1, rel=0.01)
+
+
 def test_sizes_are_the_mean_and_the_largest():
     """Compressed pictures differ in size."""
     meter = TopicMeter(rated_from_s=0.0)
