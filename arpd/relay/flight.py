@@ -171,7 +171,6 @@ class _Sent(NamedTuple):
     wire_bytes: int
     at_s: float
     counted: int
-    small_bytes: int
 
 
 class Freight:
@@ -222,7 +221,7 @@ class Flight:
         self.window_bytes: float = _LEAST_BYTES
         self.out_s = math.inf
         self._sent: deque[_Sent] = deque()
-        self._bytes = self._small_bytes = 0
+        self._bytes = 0
         self._number = self._counted = 0
         self.freight = Freight()
         self._progress_s = -math.inf
@@ -240,7 +239,7 @@ class Flight:
         """Forget what was sent to a process that is gone."""
         self._sent.clear()
         self._arrivals.clear()
-        self._bytes, self._small_bytes, self._queue_s, self._rate = 0, 0, 0.0, 0.0
+        self._bytes, self._queue_s, self._rate = 0, 0.0, 0.0
         self._counted = 0
         self._bound()
 
@@ -249,13 +248,12 @@ class Flight:
         self._capacity, self._repair_s = capacity, _REPAIR_S if is_lossy else 0.0
         self._bound()
 
-    def send(self, wire_bytes: int, now_s: float, *, size: int, is_small: bool = True, is_freight: bool = False) -> int:
+    def send(self, wire_bytes: int, now_s: float, *, size: int, is_freight: bool = False) -> int:
         """Count a chunk that leaves now; return its number.
 
         Parameters
         ----------
         size : what the other end's receipts count of it (bytes)
-        is_small : whether it is a small message, or several
         is_freight : whether it is one datagram of several packets
         """
         self._number = (self._number + 1) % WRAP
@@ -264,10 +262,8 @@ class Flight:
             self.freight.send(now_s)
         if not self._sent:
             self.out_s = now_s + _OUT_S + self._trip_s
-        small_bytes = wire_bytes * is_small
-        self._sent.append(_Sent(self._number, wire_bytes, now_s, self._counted, small_bytes))
+        self._sent.append(_Sent(self._number, wire_bytes, now_s, self._counted))
         self._bytes += wire_bytes
-        self._small_bytes += small_bytes
         return self._number
 
     def confirm(self, receipt: Receipt, now_s: float) -> None:
@@ -277,7 +273,6 @@ class Flight:
         while self._sent and (receipt.number - self._sent[0].number) % WRAP < _HALF:
             confirmed = self._sent.popleft()
             self._bytes -= confirmed.wire_bytes
-            self._small_bytes -= confirmed.small_bytes
         if confirmed is None:
             return
         self.freight.note_missing((confirmed.counted - receipt.received + _HALF) % WRAP - _HALF, now_s)
@@ -310,14 +305,8 @@ class Flight:
         return min(_MOST_RELIEF, max(_LEAST_RELIEF, 1.0 - (self._standing_s - _TARGET_S) / _RELIEF_S))
 
     def has_room(self, *, is_small: bool) -> bool:
-        """Return whether one more chunk may leave; a small message may where a large one has to wait.
-
-        Where a queue stands on the link as many of them as of large ones are on their way, or they would be the queue.
-        """
-        if not is_small:
-            return self._bytes < self.window_bytes
-        is_full = self._standing_s > _TARGET_S and self._small_bytes >= self.window_bytes
-        return not is_full and self._bytes < _SMALL_WINDOWS * self.window_bytes
+        """Return whether one more chunk may leave; a small message may where a large one has to wait."""
+        return self._bytes < (_SMALL_WINDOWS if is_small else 1.0) * self.window_bytes
 
     def _bound(self) -> None:
         self.out_s = max(self._progress_s, self._sent[0].at_s) + _OUT_S + self._trip_s if self._sent else math.inf

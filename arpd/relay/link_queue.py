@@ -345,7 +345,7 @@ class LinkQueue(PacedQueue):
         size = len(part) + CHUNK_HEADER_BYTES
         wire_bytes, packets = datagram_size(size) if current.is_freight else wire_size(size, rate_hz=math.inf)
         wire_bytes += self._asking_bytes(self._carrier, now_s)
-        number = self.flight.send(int(wire_bytes), now_s, size=size, is_small=is_first, is_freight=current.is_freight)
+        number = self.flight.send(int(wire_bytes), now_s, size=size, is_freight=current.is_freight)
         if offset == 0:
             current.number = number
         current.offset += len(part)

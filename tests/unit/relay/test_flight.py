@@ -20,9 +20,8 @@ class Ends:
         self.flight, self.received = Flight(), Received()
         self.on_way = []
 
-    def send(self, size=1000, *, is_small=True):
-        number = self.flight.send(size, self.now_s, size=size, is_small=is_small)
-        self.on_way.append((number, size, self.now_s))
+    def send(self, size=1000):
+        self.on_way.append((self.flight.send(size, self.now_s, size=size), size, self.now_s))
 
     def confirm(self, chunks):
         """Let the oldest chunks arrive, and a receipt for them."""
@@ -80,22 +79,6 @@ def test_a_queue_that_stays_on_the_link_drains():
             ends.now_s += 0.01 + late_s
             ends.confirm(1)
         assert (ends.flight.relief > 1.0) == is_drained, late_s
-
-
-def test_small_messages_that_stand_in_a_queue_on_the_link_have_the_room_of_large_ones():
-    """They may exceed it where large ones fill the link, or nothing does."""
-    rooms = []
-    for queue_s, is_small in ((0.0, True), (0.05, True), (0.05, False)):
-        ends = Ends()
-        ends.flight.believe(1e6, is_lossy=False)
-        for late_s in [0.01] * 10 + [0.01 + queue_s] * 10:
-            ends.send(100_000, is_small=is_small)
-            ends.now_s += late_s
-            ends.confirm(1)
-        window = math.ceil(ends.flight.window_bytes)
-        ends.send(window, is_small=is_small)
-        rooms.append((ends.flight.has_room(is_small=True), ends.flight.has_room(is_small=False)))
-    assert rooms == [(True, False), (False, False), (True, False)]
 
 
 def test_receipts_that_are_held_up_on_their_way_take_no_room():
