@@ -175,10 +175,10 @@ def _summary(found: TopicList) -> list[str]:
     measured = [topic for topic in found.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
     unknown = len(found.topics) - len(measured)
-    crosses = f"{_publish(crossing)} of {len(crossing)} are wanted beyond the link" if crossing else "none crosses now"
+    far = f"{len(crossing)} of them, {_publish(crossing)}, have" if crossing else "none has"
     lines = [
         _LEGEND,
-        f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {crosses}"
+        f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {far} readers beyond the link"
         + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):

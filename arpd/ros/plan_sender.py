@@ -67,7 +67,7 @@ class PlanSender:
             log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
         self._sent, self._sent_s = wanted, now_s
-        self._awaited = {node for node in missing if not _is_answered(plan.generation, answers.get(node, NO_PLAN))}
+        self._awaited = {node for node in missing if not _result(plan.generation, answers.get(node, NO_PLAN))}
         if self._writer is None:
             self._writer = self._ros.create_publisher(UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=NO_EVENTS)
         self._writer.publish(wrap(encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)))
@@ -85,14 +85,16 @@ class PlanSender:
         generation = self._sent[0]
         for node in tuple(self._awaited):
             answer = answers.get(node, NO_PLAN)
-            if not _is_answered(generation, answer):
+            if not (result := _result(generation, answer)):
                 continue
             self._awaited.discard(node)
-            is_refusal = bool(answer.refusal) and answer.refused == generation
-            self.results["refused" if is_refusal else "ok"] += 1
-            if is_refusal:
+            self.results[result] += 1
+            if result == "refused":
                 log.warning("%s refused plan %d: %r", node, generation, answer.refusal)
 
 
-def _is_answered(generation: int, answer: PlanAnswer) -> bool:
-    return generation in {answer.generation, answer.refused}
+def _result(generation: int, answer: PlanAnswer) -> str:
+    """Return what a node's answer to this plan counts as, empty if it has given none."""
+    if answer.refusal and answer.refused == generation:
+        return "refused"
+    return "ok" if answer.generation == generation else ""
