@@ -178,8 +178,8 @@ def _summary(found: TopicList) -> list[str]:
     far = f"{len(crossing)} of them, {_publish(crossing)}, have" if crossing else "none has"
     lines = [
         _LEGEND,
-        f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {far} readers beyond the link"
-        + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
+        f"{count(len(measured), 'topic')} measured for {found.seconds:g} s: {_publish(measured)}; {far} readers beyond "
+        "the link" + (f"; {count(unknown, 'topic')} not measured" if unknown else ""),
     ]
     if measured and not any(topic.traffic and topic.traffic.samples for topic in measured):
         lines.append("Not one message arrived: do the nodes publish now?")
