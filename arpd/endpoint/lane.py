@@ -58,9 +58,8 @@ class _Bucket:
         if math.isinf(self.rate_hz):
             return _UNPACED_BURST
         elapsed_s, self._at_s = max(0.0, now_s - self._at_s), max(now_s, self._at_s)
-        self._credit = min(
-            self._most, self._credit + (self.rate_hz * elapsed_s if elapsed_s < math.inf else self._most)
-        )
+        gained = self.rate_hz * elapsed_s if elapsed_s < math.inf else self._most
+        self._credit = min(self._most, self._credit + gained)
         return self._credit
 
     def spend(self, samples: float) -> None:
@@ -135,11 +134,12 @@ class Lane:
         self.blocked_s = 0.0
         self._lines: dict[Hashable, deque[_Waiting]] = {}  # of each source that waits; the first one's turn is next
         self._cap, self._allowed = _Bucket(), _Bucket()
-        self.rate_hz = self._floor_s = math.inf
+        self.rate_hz = math.inf
         self._brief_depth, self._dip_depth = 1, int(_MOST_BRIEFLY)  # small samples that may wait always, and in a dip
         self._is_thinned, self._thinned = False, 0
         self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
         self._before_s = self._begun_s = 0.0  # when the last message but one began, and the last, or should have
+        self._floor_s = math.inf
         self.plan = _UNPLANNED
         self.price: Price | None = None
         self.current: UnderWay | None = None

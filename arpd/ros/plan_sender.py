@@ -42,7 +42,8 @@ class PlanSender:
         self._sent: tuple[int, Mapping[str, TopicPlan], float] | None = None  # generation, rows and lease
         self._sent_s = -math.inf
         self._again_s = _AGAIN_S
-        self._awaited: set[str] = set()  # nodes that owe an answer
+        # Of the nodes that did not show it when it was sent: what their answers count as, empty while they owe one.
+        self._answers: dict[str, str] = {}
         self.results: Counter[str] = Counter()
 
     def apply(
@@ -62,12 +63,12 @@ class PlanSender:
         is_new = wanted != self._sent
         if now_s - self._sent_s < (_LEAST_S if is_new else self._again_s):
             return
-        if not is_new and (silent := sorted(self._awaited)):
+        if not is_new and (silent := sorted(node for node, result in self._answers.items() if not result)):
             self.results["timeout"] += len(silent)
             log.warning("%s did not answer plan %d within %.0f s", ", ".join(silent), plan.generation, self._again_s)
         self._again_s = _AGAIN_S if is_new else min(2 * self._again_s, _MOST_AGAIN_S)
         self._sent, self._sent_s = wanted, now_s
-        self._awaited = {node for node in missing if not _result(plan.generation, answers.get(node, NO_PLAN))}
+        self._answers = {node: _result(plan.generation, answers.get(node, NO_PLAN)) for node in missing}
         if self._writer is None:
             self._writer = self._ros.create_publisher(UInt8MultiArray, PLAN_TOPIC, PLAN_QOS, event_callbacks=NO_EVENTS)
         self._writer.publish(wrap(encode_plan(generation=plan.generation, lease_s=lease_s, topics=plan.topics)))
@@ -77,17 +78,17 @@ class PlanSender:
         if self._writer is not None:
             self._ros.destroy_publisher(self._writer)
         self._writer = self._sent = None
-        self._awaited.clear()
+        self._answers.clear()
 
     def _read(self, answers: Mapping[str, PlanAnswer]) -> None:
         if self._sent is None:
             return
         generation = self._sent[0]
-        for node in tuple(self._awaited):
+        for node, before in self._answers.items():
             answer = answers.get(node, NO_PLAN)
-            if not (result := _result(generation, answer)):
+            if (result := _result(generation, answer)) in {"", before}:
                 continue
-            self._awaited.discard(node)
+            self._answers[node] = result
             self.results[result] += 1
             if result == "refused":
                 log.warning("%s refused plan %d: %r", node, generation, answer.refusal)

@@ -241,5 +241,5 @@ def test_clients_and_servers_that_went_leave_nothing_in_their_node(ros, stack):
     offer = ServiceOffer(type_name="test_msgs/srv/BasicTypes", node="/server")
     for _ in range(3):
         LocalClient(node, offer, "/double", thread, book).destroy()
-        GhostServer(node, offer, "/double", thread, lambda _request, _header: None).destroy()
+        GhostServer(node, offer, BasicTypes, "/double", thread, on_request=print).destroy()
     assert len(node.default_callback_group.entities) == before

@@ -183,10 +183,11 @@ class Calls:
         return "a node on this side serves it, too; that one stays" if name in served else ""
 
     def _ghost(self, name: str, offer: ServiceOffer) -> GhostServer:
-        local, on_request = self._side.local_name(name), partial(self._call, name)
-        class_of(offer)  # raises before there is a node, which would come and go with every look
+        kind = class_of(offer)  # before there is a node: it would come and go with every look where this raises
+        local, call = self._side.local_name(name), partial(self._call, name)
         return self._nodes.give(
-            self._side.local_name(offer.node), lambda node: GhostServer(node, offer, local, self.thread, on_request)
+            self._side.local_name(offer.node),
+            lambda node: GhostServer(node, offer, kind, local, self.thread, on_request=call),
         )
 
     def _call(self, name: str, message: Any, header: Any) -> None:

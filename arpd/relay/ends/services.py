@@ -80,13 +80,21 @@ class GhostServer(_Endpoint):
 
     Parameters
     ----------
+    kind : class of the service
     on_request : called with each request and its header, in the thread
     """
 
     def __init__(
-        self, node: Node, offer: ServiceOffer, name: str, thread: ReadingThread, on_request: Callable[[Any, Any], None]
+        self,
+        node: Node,
+        offer: ServiceOffer,
+        kind: Any,
+        name: str,
+        thread: ReadingThread,
+        *,
+        on_request: Callable[[Any, Any], None],
     ) -> None:
-        self.offer, self.kind = offer, class_of(offer)
+        self.offer, self.kind = offer, kind
         self._node, self._on_request = node, on_request
         self._server = node.create_service(self.kind, name, lambda _request, answer: answer, **_options())
         super().__init__(self._server, name, rcl().notify_server, thread)
@@ -158,8 +166,8 @@ class LocalClient(_Endpoint):
     def follow(self, servers: frozenset[bytes]) -> None:
         """Forget the calls whose outcome nobody awaits, also those that wait for a server that never matches.
 
-        A server that is started anew knows nothing of the requests to the one before: a call fails once all are gone
-        that were there at the first look after its request.
+        A server that restarts knows nothing of earlier requests: a call fails once all servers are gone that were there
+        at the first look after its request.
 
         Parameters
         ----------

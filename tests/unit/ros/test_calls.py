@@ -153,7 +153,7 @@ def test_calls_fail_when_their_server_goes(world, client):
 
 
 def test_calls_fail_once_none_of_the_servers_is_left_that_may_have_them(world, client):
-    """A component that is loaded anew has the same name, and knows nothing of the goals of the one before."""
+    """A component that is loaded again has the same name, and knows nothing of earlier goals."""
     for number, now_s in ((1, 100.0), (2, 101.0)):
         client.send(number, request(number))
         client.release(now_s)
@@ -172,7 +172,7 @@ def test_calls_fail_once_none_of_the_servers_is_left_that_may_have_them(world, c
 def test_a_response_that_cannot_be_sent_keeps_no_other_and_none_is_lost_with_its_server(world):
     """Responses leave five at a time, and all that wait when their server goes."""
     world.refused = {1}
-    server = GhostServer(world, OFFER, "/double", MagicMock(), lambda _request, _header: None)
+    server = GhostServer(world, OFFER, BasicTypes, "/double", MagicMock(), on_request=MagicMock())
     for number in range(20):
         server.send(None, BasicTypes.Response(int32_value=number))
     server.release(100.0)

@@ -70,6 +70,9 @@ def test_an_answer_counts_once(send):
     for now_s in (1.0, 1.5, 6.0, 6.5):
         send(now_s, answer=PlanAnswer(2, 0.0, 3, "/t: depth"))
     assert send.sender.results == {"refused": 1}
+    for now_s in (7.0, 18.0, 18.5):
+        send(now_s, answer=PlanAnswer(3))
+    assert send.sender.results == {"refused": 1, "ok": 1}
 
 
 def test_a_plan_that_is_taken_back_is_sent_anew(node, send):
