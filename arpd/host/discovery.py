@@ -262,10 +262,15 @@ def discovery_socket(domain_id: int) -> socket.socket:
     return ear
 
 
-def join_discovery(ear: socket.socket, index: int) -> None:
-    """Let a socket hear the interface with a number of the kernel; OSError where that is down, or has no address."""
+def join_discovery(ear: socket.socket, index: int, *, is_gone: bool = False) -> None:
+    """Let a socket hear the interface with a number of the kernel; OSError where that is down, or has no address.
+
+    Parameters
+    ----------
+    is_gone : whether to leave it instead: the kernel lets a socket hear twenty, and counts those that are gone
+    """
     member = struct.pack("4s4si", socket.inet_aton(_GROUP), bytes(4), index)
-    ear.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+    ear.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP if is_gone else socket.IP_ADD_MEMBERSHIP, member)
 
 
 def participant_in(packet: bytes) -> bytes | None:

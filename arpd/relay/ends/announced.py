@@ -27,6 +27,7 @@ class AnnouncedParticipants:
 
     def __init__(self, domain_id: int) -> None:
         self._heard_s: dict[str, float] = {}
+        self._joined: set[int] = set()
         self._socket: socket.socket | None = None
         try:
             self._socket = discovery_socket(domain_id)
@@ -38,9 +39,11 @@ class AnnouncedParticipants:
         """Return the first 12 bytes of the GUIDs of those heard in the last minute, in hexadecimal digits."""
         if self._socket is None:
             return ()
-        for index, _name in socket.if_nameindex():  # some come later: a radio that is plugged in again has a new number
-            with suppress(OSError):  # joined already, down, or without an address
-                join_discovery(self._socket, index)
+        present = {index for index, _name in socket.if_nameindex()}
+        for index in present ^ self._joined:  # a radio or a container that returns has a new number
+            with suppress(OSError):  # down, or without an address
+                join_discovery(self._socket, index, is_gone=index in self._joined)
+                self._joined ^= {index}
         now_s = time.monotonic()
         with suppress(OSError):  # nothing more has come
             for _ in range(_MOST):

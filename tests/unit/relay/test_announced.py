@@ -3,6 +3,7 @@
 import socket
 
 from arpd.model.wire import domain_port
+from arpd.relay.ends import announced
 from arpd.relay.ends.announced import AnnouncedParticipants
 
 DOMAIN = 97  # that no other test has
@@ -27,3 +28,22 @@ def test_an_interface_that_comes_later_is_heard(monkeypatch, request):
     heard.recent()
     assert announce() == [GUID.hex()]
     assert announce() == [GUID.hex()]  # joined once
+
+
+def test_interfaces_that_come_and_go_leave_room_for_the_next(monkeypatch, request):
+    """Where containers come and go, the kernel's twenty memberships of a socket do not run out."""
+    present, joined = [(1, "lo")], set()
+
+    def kernel(_socket, index, *, is_gone=False):
+        if len(joined) == 20 and not is_gone:
+            raise OSError
+        (joined.remove if is_gone else joined.add)(index)
+
+    monkeypatch.setattr(socket, "if_nameindex", lambda: present)
+    monkeypatch.setattr(announced, "join_discovery", kernel)
+    heard = AnnouncedParticipants(DOMAIN)
+    request.addfinalizer(heard.close)
+    for index in range(2, 32):
+        present = [(1, "lo"), (index, f"veth{index}")]
+        heard.recent()
+        assert joined == {1, index}
