@@ -19,6 +19,7 @@ from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState, WriterQos
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
 from arpd.ros.attached import attached
 from arpd.ros.cdr import wrap
+from arpd.ros.graph import this_host
 from arpd.ros.inbox import PRICES, Inbox, Letters
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
@@ -193,6 +194,7 @@ class NodePublishers:
             answer=self._answer,
             lacks_profile=self._lacks_profile,
             relay=self.relay and self.relay(),
+            host=this_host(),
         )
         self._snapshots.publish(wrap(message))
 

@@ -296,6 +296,7 @@ class NodeSnapshot:
     publishers : fields of the `PublisherState` of each, without those that the graph shows
     left_out : number of its publishers beyond `MOST_PUBLISHERS`, of which it tells nothing
     relay : summary of the relay that this node belongs to
+    host : where it runs, as `arpd.ros.graph.this_host` says it there; empty = not known
     """
 
     node: str
@@ -303,3 +304,4 @@ class NodeSnapshot:
     publishers: Sequence[Mapping[str, Any]] = ()
     left_out: int = 0
     relay: RelaySummary | None = None
+    host: str = ""

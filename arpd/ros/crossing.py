@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from arpd.ros.rmw import Rmw
 
 _MOST_TOPICS = 3000  # so that a graph full of topics does not take the processor
+_ROBOT = b""  # in the place of a host
 _EVERY_NODE_WRITES = ("/parameter_events", "/rosout")
 
 
@@ -80,12 +81,15 @@ class Graph:
         }
 
 
-def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Graph:
+def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = (), here: Collection[bytes] = ()) -> Graph:
     """Return the crossing of every topic, without those of ROS and of arpd itself, and who may announce them.
 
-    Topics in ``first`` are read first, in case there are too many.
+    Parameters
+    ----------
+    first : topics that are read first, in case there are too many
+    here : hosts of endpoints that are this one, besides that of this process
     """
-    robot_host = view.own.host if rmw.tells_hosts else None
+    robot = frozenset({view.own.host, *here}) if rmw.tells_hosts else None
     # What a relay carries comes last, in the place of what others have in the link's domain under that name.
     full = sorted(filter(is_full_name, view.types), key=lambda name: off_link(name) != name)
     names = {off_link(name): name for name in full if off_link(name) != name or not is_internal(name)}
@@ -94,7 +98,7 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
     def readers(topic: str) -> Collection[Endpoint]:
         found = view.readers(name := names[topic])
         # Between two ends one process a host reads; where it was killed and runs again, the graph shows both for 20 s.
-        return found if name == topic or robot_host is None else {each.host: each for each in found}.values()
+        return found if name == topic or robot is None else {_side(each, robot): each for each in found}.values()
 
     hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
     crossings = {
@@ -102,7 +106,7 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
             # The daemon's own writer of /diagnostics is no traffic of the robot.
             writers=[writer for writer in view.writers(names[topic]) if writer.node != view.own.node],
             readers=readers(topic),
-            robot_host=robot_host,
+            robot=robot,
         )
         for topic in topics
     }
@@ -111,32 +115,34 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = ()) -> Gra
         topics=Counter(crossing.direction for crossing in crossings.values()),
         announcers=_nodes(view.writers(PUBLISHERS_TOPIC)),
         peers=len(view.writers(REPORT_TOPIC)),
-        remote_participants=1 if robot_host is None else sum(host != robot_host for host in hosts.values()),
+        remote_participants=1 if robot is None else sum(host not in robot for host in hosts.values()),
     )
 
 
-def crossing(*, writers: Collection[Endpoint], readers: Collection[Endpoint], robot_host: bytes | None) -> Crossing:
+def crossing(
+    *, writers: Collection[Endpoint], readers: Collection[Endpoint], robot: Collection[bytes] | None
+) -> Crossing:
     """Return the crossing of a topic: pure.
 
     Parameters
     ----------
-    robot_host : None where the middleware does not name the hosts of endpoints. A reader in another process than any
-        writer may be across the link then. Such a topic counts as sensing, with one copy: to plan a local topic only
-        gives it a rate, but to leave out a topic that crosses would leave it unpaced; and copies that do not exist
-        would take rate from every topic
+    robot : hosts of endpoints that are the robot; None where the middleware does not name the hosts. A reader in
+        another process than any writer may be across the link then. Such a topic counts as sensing, with one copy: to
+        plan a local topic only gives it a rate, but to leave out a topic that crosses would leave it unpaced; and
+        copies that do not exist would take rate from every topic
     """
-    if robot_host is None:
+    if robot is None:
         processes = {writer.participant for writer in writers}
         copies = int(bool(processes) and any(reader.participant not in processes for reader in readers))
         direction = Direction.SENSING if copies else Direction.LOCAL
     else:
-        hosts = {writer.host for writer in writers}
-        # With writers on both sides, those of the side with more.
-        copies = max((len({each.participant for each in readers if each.host != host}) for host in hosts), default=0)
+        sides = {_side(writer, robot) for writer in writers}
+        beyond = [{each.participant for each in readers if _side(each, robot) != side} for side in sides]
+        copies = max(map(len, beyond), default=0)  # with writers on both sides, those of the side with more
         direction = Direction.LOCAL  # also between two other hosts
-        if copies and robot_host in hosts:
+        if copies and _ROBOT in sides:
             direction = Direction.SENSING
-        elif copies and any(reader.host == robot_host for reader in readers):
+        elif copies and any(_side(reader, robot) == _ROBOT for reader in readers):
             direction = Direction.ACTUATION
     return Crossing(
         direction=direction,
@@ -144,6 +150,10 @@ def crossing(*, writers: Collection[Endpoint], readers: Collection[Endpoint], ro
         requested_ns=min((each.deadline_ns for each in readers if each.deadline_ns >= LEAST_DEADLINE_NS), default=0),
         writers=_nodes(writers),
     )
+
+
+def _side(endpoint: Endpoint, robot: Collection[bytes]) -> bytes:
+    return _ROBOT if endpoint.host in robot else endpoint.host
 
 
 def _nodes(endpoints: Iterable[Endpoint]) -> frozenset[str]:

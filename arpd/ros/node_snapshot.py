@@ -50,6 +50,7 @@ def encode_snapshot(
     answer: PlanAnswer = NO_PLAN,
     lacks_profile: bool = False,
     relay: RelaySummary | None = None,
+    host: str = "",
 ) -> bytes:
     """Return a node's message, with the states of its publishers, `MOST_PUBLISHERS` at most."""
     document: dict[str, Any] = {"node": node, "publishers": _columns_of(tuple(states))}
@@ -59,6 +60,8 @@ def encode_snapshot(
         document["answer"] = {**dataclasses.asdict(answer), "refusal": shown_words(answer.refusal)}
     if lacks_profile:
         document["lacks_profile"] = True
+    if host:
+        document["host"] = host
     if relay is not None:
         document["relay"] = _shown(relay)
     return pack(document, likely=LIKELY)
@@ -83,7 +86,8 @@ def _columns_of(states: Sequence[PublisherState]) -> dict[str, list[Any]]:
 def _shown(record: Any) -> dict[str, Any]:
     kind: Any = type(record)
     usual = _usual(kind)
-    return {name: _value(getattr(record, name)) for name in usual if getattr(record, name) != usual[name]}
+    values = {name: getattr(record, name) for name in usual}
+    return {name: _value(value, MOST.get(name, MOST_SECONDS)) for name, value in values.items() if value != usual[name]}
 
 
 @cache

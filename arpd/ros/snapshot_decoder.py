@@ -122,6 +122,7 @@ _SNAPSHOT: Any = create_model(
     answer=(_record(PlanAnswer), NO_PLAN),
     lacks_profile=(bool, False),
     relay=(_record(RelaySummary) | None, None),
+    host=(Text, ""),
 )
 
 
@@ -142,7 +143,8 @@ def decode_snapshot(data: bytes) -> NodeSnapshot:
         "lacks_profile": told.lacks_profile,
     }
     rows = _rows({name: values for name, values in vars(told.publishers).items() if values}, common)
-    return NodeSnapshot(node=told.node, answer=told.answer, publishers=rows, left_out=told.left_out, relay=told.relay)
+    common = {name: getattr(told, name) for name in ("node", "answer", "left_out", "relay", "host")}
+    return NodeSnapshot(**common, publishers=rows)
 
 
 def _rows(columns: dict[str, list[Any]], common: dict[str, Any]) -> list[dict[str, Any]]:

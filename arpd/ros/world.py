@@ -22,6 +22,7 @@ from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
 from arpd.ros.cdr import wrap
 from arpd.ros.crossing import Graph, read_graph
+from arpd.ros.graph import Endpoint, this_host
 from arpd.ros.graph_view import GraphView
 from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S, _HOST_S = 0.2, 1.0  # between two looks at the graph, and at memory and radio
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
+_ASKS_S = 5.0  # pings come every second at most; none while the capacity is pinned
 _MOST_SNAPSHOTS = 1000  # waiting for a tick
 _LARGE = 4.0  # more messages that the largest snapshot counts for: it comes once a second, and takes long to read
 
@@ -100,7 +102,7 @@ class RosControl:
         self._reports = PeerReports(secrets.randbelow(2**32))
         self._snapshots: deque[tuple[bytes, NodeSnapshot, float]] = deque(maxlen=_MOST_SNAPSHOTS)  # with their arrival
         self._view = GraphView.of(node)
-        self._changes = -1  # of the graph, when it was read last
+        self._seen = (-1, frozenset[bytes]())  # changes of the graph, and hosts, when it was read last
         self._graph = Graph()  # of the thread that looks around
         self._endpoints: tuple[PublisherState, ...] = ()
         self._endpoints_until_s = -math.inf
@@ -119,7 +121,10 @@ class RosControl:
             MessageKind.REPORTS: Inbox(node, _REPORTS, best_effort, self._on_report),
             MessageKind.PRICES: self._daemons.inbox,
         }
+        # Hosts of endpoints that are this one: a node, or an end, may be older or younger than one of its addresses.
+        self._here: frozenset[bytes] = frozenset()
         self._has_two_ends = has_two_ends
+        self._probed_s = -math.inf  # when the last probe left
         self._began_s = time.monotonic()
         # The tick must stay short, and so must the reading of messages.
         threading.Thread(target=self._look_around, name="arpd-looking", daemon=True).start()
@@ -184,7 +189,7 @@ class RosControl:
     def probe(self, request: ProbeRequest) -> None:
         """Send one train, or a ping, back to back."""
         head = ProbeHeader(self._reports.number(request.number), 0, request.packets, request.quiet_s)
-        size = request.packet_bytes
+        size, self._probed_s = request.packet_bytes, time.monotonic()
         packets = [wrap(encode_probe(replace(head, index=k), payload_bytes=size)) for k in range(head.packets)]
         for packet in packets:
             self._probe_publisher.publish(packet)
@@ -200,11 +205,15 @@ class RosControl:
 
     def _on_snapshot(self, sample: Sample, snapshot: NodeSnapshot) -> None:
         self._snapshots.append((sample.writer, snapshot, time.monotonic()))
+        if snapshot.host and snapshot.host == this_host():
+            self._here |= {Endpoint(gid=sample.writer).host}
 
     def _on_report(self, sample: Sample, report: PeerReport) -> None:
         return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
         report = replace(report, received_at_s=time.monotonic(), return_delay_s=return_delay_s)
-        refusal = self._reports.note(report, must_answer=not self._daemons.active_daemon())
+        is_asking = time.monotonic() - self._probed_s < _ASKS_S
+        must_answer = is_asking and not self._daemons.active_daemon()
+        refusal = self._reports.note(report, must_answer=must_answer)
         if refusal is None:
             self._on_report_arrived()
         # A peer that starts has heard no probe yet, and one may answer a daemon that drove.
@@ -238,10 +247,10 @@ class RosControl:
             time.sleep(_LOOK_AROUND_S)
 
     def _read_graph(self) -> None:
-        if (changes := self._view.look()) == self._changes:
+        if (seen := (self._view.look(), self._here)) == self._seen:
             return
-        graph = read_graph(self._view, self._rmw, first=self._nodes.topics)
-        self._changes = changes
+        graph = read_graph(self._view, self._rmw, first=self._nodes.topics, here=self._here)
+        self._seen = seen
         self._daemons.see(self._view.writers(PRICE_TOPIC))
         if graph != self._graph:
             self._graph = graph

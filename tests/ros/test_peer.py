@@ -12,6 +12,7 @@ from arpd.host.interface import InterfaceReader
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
+from arpd.ros import world as control
 from arpd.ros.cdr import wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
@@ -114,6 +115,16 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
         reports.publish(wrap(encode_report(replace(report, last_probe=last_probe))))
     refused = eventually("one is refused", lambda: daemon.observe().refused)
     assert refused == {(MessageKind.REPORTS, MessageRefusal.UNANSWERED): 1}
+
+
+def test_while_no_probe_leaves_a_peer_has_none_to_answer(ros, eventually, monkeypatch):
+    """A peer may restart after a reload has pinned the capacity: its reports count, though it never hears a probe."""
+    monkeypatch.setattr(control, "_ASKS_S", 0.0)
+    daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
+    daemon.probe()
+    report = wrap(encode_report(Receiver("base", 0.0).look(1.0, None)))
+    eventually("its reports count", lambda: reports.publish(report) or daemon.observe().peer_ages_s)
+    assert not daemon.observe().refused
 
 
 def test_the_daemon_knows_the_peers_clock(daemon, eventually):

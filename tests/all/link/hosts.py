@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("pyroute2", reason="pyroute2 is not installed")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from arpd.ros.runtime import PROFILE_VARIABLES
+from arpd.ros.runtime import PROFILE_VARIABLE
 from scripts.netns.namespaces import executable, inside
 from scripts.netns.simlink import available
 from tests.scrape import metrics
@@ -30,13 +30,13 @@ def ip(host, *argv):
     subprocess.run([executable("ip"), "-n", host.namespace, *argv], check=True, capture_output=True)
 
 
-def second_network(hosts):
-    """Give the base computer a network that the robot's default route leads to, as of Docker."""
-    ip(hosts.base, "link", "add", "docker0", "type", "veth", "peer", "name", "inside")
-    ip(hosts.base, "addr", "add", "172.17.0.1/16", "dev", "docker0")
+def second_network(host, other):
+    """Give a computer a network, as of Docker, that the default route of the other one leads to."""
+    ip(host, "link", "add", "docker0", "type", "veth", "peer", "name", "inside")
+    ip(host, "addr", "add", "172.17.0.1/16", "dev", "docker0")
     for end in ("docker0", "inside"):
-        ip(hosts.base, "link", "set", end, "up")
-    ip(hosts.robot, "route", "add", "default", "via", "10.77.0.2")
+        ip(host, "link", "set", end, "up")
+    ip(other, "route", "add", "default", "via", host.address)
 
 
 class Hosts:
@@ -49,7 +49,7 @@ class Hosts:
 
     def __init__(self, link, folder):
         self.link, self.robot, self.base, self.folder = link, link.robot, link.base, folder
-        self.environment = {name: value for name, value in os.environ.items() if name not in PROFILE_VARIABLES}
+        self.environment = {name: value for name, value in os.environ.items() if name != PROFILE_VARIABLE}
         self.environment |= {"PYTHONPATH": str(REPO), "PATH": f"{folder}:{os.environ['PATH']}"}
         command = folder / "arpd"
         command.write_text(f'#!/bin/sh\nexec {sys.executable} -u -m arpd.cli "$@"\n')

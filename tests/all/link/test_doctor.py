@@ -57,7 +57,7 @@ def test_both_ends_are_looked_at(hosts):
 
 def test_a_second_network_of_the_other_computer_is_found(hosts):
     """The link leads there, too, so its nodes get every sample twice."""
-    second_network(hosts)
+    second_network(hosts.base, hosts.robot)
     (hosts.folder / "arpd.yaml").touch()
     hosts.node("base", "planner", "read:/image:std_msgs/String")
 

@@ -37,7 +37,7 @@ def test_a_node_that_announces_itself_on_the_link_is_named(hosts):
 
 def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts):
     """It tells the ends' address alone, so the default route leads nothing there."""
-    second_network(hosts)
+    second_network(hosts.base, hosts.robot)
     two_ends(hosts)
     hosts.node("robot", "camera", "write:/pictures:std_msgs/String:20000", **CONFINED)
     hosts.node("base", "planner", "read:/pictures:std_msgs/String", **CONFINED)
@@ -50,6 +50,18 @@ def test_samples_cross_once_where_the_other_computer_has_a_second_network(hosts)
     eventually("more has crossed", lambda: seen() >= before + 60)
     sent_bytes = hosts.link.counters()["robot"].tx_bytes - sent_bytes
     assert sent_bytes / (seen() - before) < 1.5 * 20_000
+
+
+def test_a_daemon_that_is_younger_than_an_address_knows_its_relay(hosts):
+    """Docker or a VPN may come up between the start of the relay and a restart of the daemon."""
+    two_ends(hosts)
+    hosts.node("robot", "camera", "write:/pictures:std_msgs/String:20000", **CONFINED)
+    hosts.node("base", "planner", "read:/pictures:std_msgs/String", **CONFINED)
+    eventually("the topic crosses", lambda: hosts.text("planner").count("/pictures") > 20)
+    second_network(hosts.robot, hosts.base)
+    hosts.start("robot", "daemon", "arpd", "run", "--config", "arpd.yaml", **CONFINED)
+    eventually("it is planned", lambda: [each["topic"] for each in hosts.status().get("topics", ())] == ["/pictures"])
+    eventually("its plan is in force", lambda: hosts.status()["topics"][0]["confirmed"]["generation"] > 0)
 
 
 def test_a_firewall_must_let_in_the_ports_that_the_status_names(hosts):

@@ -94,6 +94,10 @@ def test_the_daemon_knows_a_topic_of_two_ends_by_its_name_on_the_robot():
         readers=lambda name: topics.get(name, ((), ()))[1],
     )
     crossings = read_graph(view, MIDDLEWARE).crossings
+    later = replace(view.own, gid=OWN[:2] + b"\7" + OWN[3:])  # this process is younger than an address of its host
+    view.own = replace(later, node="/arpd")
+    assert {each.direction for each in read_graph(view, MIDDLEWARE).crossings.values()} == {Direction.LOCAL}
+    assert read_graph(view, MIDDLEWARE, here={end.host}).crossings == crossings
     assert crossings.keys() == {"/map", "/rosout"}
     for crossing in crossings.values():
         assert (crossing.writers, crossing.direction) == ({"/arpd_relay"}, Direction.SENSING)

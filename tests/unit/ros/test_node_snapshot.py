@@ -13,7 +13,14 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from arpd.model.endpoints import MOST_PUBLISHERS, Direction, PublisherState, RefusalReason, SwapRecord, WithheldCause
+from arpd.model.endpoints import (
+    MOST_PUBLISHERS,
+    Direction,
+    PublisherState,
+    RefusalReason,
+    SwapRecord,
+    WithheldCause,
+)
 from arpd.model.names import LONGEST_NAME
 from arpd.model.plan import PlanAnswer
 from arpd.model.relay import RelaySummary, RelayTopics
@@ -86,10 +93,10 @@ def states(snapshot):
 def test_a_publisher_the_answer_and_the_relay_arrive_as_they_were(state, relay):
     """Encoding and decoding changes nothing; plan, lease and profile of a publisher are those of its node."""
     answer = replace(ANSWER, generation=state.generation, lease_s=state.lease_s)
-    data = encode_snapshot("/n", [state], answer=answer, lacks_profile=state.lacks_profile, relay=relay)
+    data = encode_snapshot("/n", [state], answer=answer, lacks_profile=state.lacks_profile, relay=relay, host="here")
     found = decode_snapshot(data)
     assert states(found) == [state]
-    assert (found.node, found.answer, found.relay) == ("/n", answer, relay)
+    assert (found.node, found.answer, found.relay, found.host) == ("/n", answer, relay, "here")
 
 
 def test_twenty_busy_publishers_take_less_than_two_kilobytes():
@@ -132,7 +139,8 @@ def test_as_many_publishers_as_a_daemon_manages_are_told_with_the_longest_names(
 
 def test_numbers_beyond_all_bounds_do_not_silence_a_node():
     """What the daemon would refuse is cut to what it takes."""
-    absurd = replace(PLAIN, depth=10**7, payload_bytes=1e300, source_rate_hz=1e9, offered=2**70)
+    last = SwapRecord(number=1, result="ok", depth=10**7, deadline_ns=0, seconds_by_phase={})
+    absurd = replace(PLAIN, depth=10**7, payload_bytes=1e300, source_rate_hz=1e9, offered=2**70, last_swap=last)
     (found,) = states(decode_snapshot(encode_snapshot("/n", [absurd])))
     assert (found.depth, found.source_rate_hz, found.offered) == (10**5, 1e5, 2**63 - 1)
     assert found.payload_bytes == pytest.approx(2.0**30, rel=1e-5)

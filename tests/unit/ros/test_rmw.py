@@ -39,7 +39,7 @@ def test_without_hosts_a_reader_elsewhere_makes_a_topic_cross():
     found = crossing(
         writers=[endpoint(b"a")],
         readers=[endpoint(b"a"), endpoint(b"b", 9 * MS), endpoint(b"c", 5 * MS)],
-        robot_host=None,
+        robot=None,
     )
     assert found == Crossing(
         direction=Direction.SENSING,
