@@ -290,14 +290,15 @@ class Daemon:
             wait(TICK_S)
             self._observe(self._clock())
         begun_s = self._clock()
+        seen = self._observe(begun_s)
+        generation = min(MOST_GENERATION, max([generation, *(each.generation for each in seen.publishers)]))
         for is_paced, until_s in ((True, _RESTORE_S), (False, _RESTORE_S + _UNPACE_S)):
             while True:
                 seen = self._observe(self._clock())
-                if seen.active_daemon:
+                if seen.active_daemon or any(each.generation > generation for each in seen.publishers):
                     return None  # the plan in force is another daemon's
                 # Also with a predecessor's plan, and on a topic whose far reader has left.
                 publishers = [publisher for publisher in seen.publishers if publisher.generation > 0]
-                generation = min(MOST_GENERATION, max([generation, *(each.generation for each in publishers)]))
                 publishers.sort(key=lambda publisher: publisher.paced_rate_hz)  # of one topic the fastest counts
                 rates = {each.topic: each.paced_rate_hz if is_paced else math.inf for each in publishers}
                 plan = QosPlan(generation=generation, topics={topic: own_qos(rate) for topic, rate in rates.items()})

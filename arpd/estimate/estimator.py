@@ -95,6 +95,7 @@ class Estimator:
             self._stated = Statement(settings.initial_capacity_bytes_per_second)
         if self._is_pinned:
             self._forget_queue()
+            self._asked.clear()
 
     def update(self, observation: Observation) -> LinkEstimate:
         """Digest one observation and return the estimate."""
@@ -110,7 +111,8 @@ class Estimator:
         moved -= self._cross_traffic.probe_bytes(now_s - parameters.SHOWS_S) / parameters.DELIVERY_WINDOW_S
         self._used_s = now_s if moved > parameters.RESTING * capacity else min(self._used_s, now_s)
         # A silent peer in the graph may be behind a bad link, so the first plan waits longer for it.
-        self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
+        if not self.has_evidence:
+            self._first_wait_s = parameters.PEER_LOST_S if observation.peers else parameters.FIRST_WAIT_S
         self._copies = max(1, len(self._peers) if observation.peers is None else observation.peers)
         cross_traffic = self._cross_traffic.update(observation)
         local.update(observation.counters, now_s, burst_bytes=self._burst_bytes, capacity=capacity)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from arpd.model.allocation import AllocationStatus
+from arpd.model.allocation import AllocationStatus, Binding
 from arpd.model.endpoints import MOST_PUBLISHERS
 from arpd.model.interface import state_of
 from arpd.model.link import LinkState
@@ -202,7 +202,9 @@ def _of_far_side(snapshot: Snapshot) -> Iterator[Finding]:
     allocation, decision = snapshot.allocation, snapshot.decision
     if allocation.status is AllocationStatus.DEGRADED and snapshot.managed:
         yields = f"arpd gives up the least important first ({allocation.degradation})"
-        yield Finding(Condition.MINIMUM_RATES, f"{_budget(snapshot)}, and {yields}; {_effect(snapshot)}")
+        is_memory = allocation.binding is Binding.MEMORY
+        why = "memory for histories is short (program.memory_budget)" if is_memory else _budget(snapshot)
+        yield Finding(Condition.MINIMUM_RATES, f"{why}, and {yields}; {_effect(snapshot)}")
     if snapshot.confirmed < (managed := snapshot.managed):
         late = Finding(Condition.UNCONFIRMED, "", f"plan {decision.plan.generation} for {managed}")
         # In whole seconds: the status line goes to systemd whenever it changes.

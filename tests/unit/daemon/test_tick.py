@@ -87,6 +87,21 @@ def test_a_clean_stop_gives_each_publisher_of_a_topic_its_own_qos_back():
     assert world.sent[0][1][TOPIC].rate_hz == 8.0
 
 
+def test_a_clean_stop_leaves_the_plan_of_the_daemon_that_took_over_alone():
+    """It stood by because its GUID is higher, so that the one that stops never hears of it; its plans have a number."""
+    world = Robot(deaf={"/w"})
+    wait = world.wait
+
+    def wait_for_the_other(seconds):
+        wait(seconds)
+        if world.now_s > 8.0:
+            world.change(generation=20)
+
+    world.wait = wait_for_the_other
+    assert restored(world) is None
+    assert world.now_s < 9.0
+
+
 def test_a_clean_stop_gives_up_on_a_node_that_is_gone():
     """A publisher that does not answer is counted, and the daemon ends all the same."""
     world = Robot(deaf={"/w"})

@@ -108,6 +108,14 @@ def test_without_reports_the_first_plan_waits(peers, wait_s):
     assert link.estimator.has_evidence
 
 
+def test_a_peer_that_is_discovered_late_takes_back_no_evidence():
+    """Discovery takes seconds: the topics stay planned, and slowed, while the peer has not measured yet."""
+    link = Link()
+    link.ticks(round(10 * parameters.FIRST_WAIT_S) + 1, silent=True, peers=0)
+    link.tick(silent=True, peers=1)
+    assert link.estimator.has_evidence
+
+
 # -- queues and trains
 
 
@@ -217,6 +225,16 @@ def test_an_outage_or_a_queue_stops_the_trains(trouble):
 
 
 # -- pinned
+
+
+def test_where_a_reload_pins_the_capacity_one_lost_report_is_no_outage():
+    """No probe leaves any more, so reports come as seldom as a peer sends them by itself."""
+    link = Link().measured()
+    link.estimator.reconfigure(LinkSettings(capacity_bytes_per_second=FIRST))
+    for _report in range(20):
+        link.ticks(2, silent=True)
+        link.tick(interval_s=0.3)
+    assert link.ticks(5, silent=True).state is not LinkState.OUTAGE
 
 
 @pytest.mark.parametrize("how", ["pinned", "radio"])

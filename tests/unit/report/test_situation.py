@@ -82,6 +82,11 @@ def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.QUEUE, "unknown length"),
         ({"allocation": {"budget_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
         ({"allocation": {"status": AllocationStatus.DEGRADED}}, Condition.MINIMUM_RATES, ""),
+        (
+            {"allocation": {"status": AllocationStatus.DEGRADED, "binding": Binding.MEMORY}},
+            Condition.MINIMUM_RATES,
+            "memory for histories is short (program.memory_budget), and arpd gives up",
+        ),
         # A budget that follows a link that rises has no queue to drain.
         ({"link": {"capacity_bytes_per_second": 5e6}}, Condition.LIMITED, "of 40 Mbit/s"),
         ({"observation": {"publishers": ()}}, Condition.NOTHING_TO_MANAGE, "AdaptivePublisher"),
