@@ -97,8 +97,7 @@ class Lane:
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
     is_kept : whether the other end delivers its samples however old they are
     weight : without a plan
-    patience_s : how long its large samples wait for the link before a first plan; a topic that stays on its host gets
-        none (s)
+    patience_s : longest wait of large samples for a first plan, which a topic that stays on its host never gets (s)
     has_company : whether its messages leave together with those of other topics where all are small
 
     Attributes
@@ -107,6 +106,7 @@ class Lane:
     is_closing : whether nobody may publish any more; the same owner sets it
     blocked_s : time inside its writer, which the same owner counts (s)
     may_be_freight : whether its messages may leave on a writer of several topics; its queue sets it
+    lifespan_s : LIFESPAN of its writer, where all messages are of one; its owner sets it (s)
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Lane:
         self._is_thinned, self._thinned = False, 0
         self._short_s = self._dip_s = -math.inf  # when its rate cost a small sample last, and since when more waits
         self._before_s = self._begun_s = 0.0  # when the last message but one began, and the last, or should have
-        self._floor_s = math.inf
+        self._floor_s = self.lifespan_s = math.inf
         self.plan = _UNPLANNED
         self.price: Price | None = None
         self.current: UnderWay | None = None

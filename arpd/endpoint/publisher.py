@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from rclpy.duration import Duration
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSLivelinessPolicy, QoSProfile
 
 from arpd.endpoint.flow import Flow
 from arpd.endpoint.node_publishers import NodePublishers
@@ -27,7 +27,7 @@ from arpd.model.endpoints import (
     SwapTiming,
     WriterQos,
 )
-from arpd.ros.graph import Requests, type_name_of
+from arpd.ros.graph import Requests, period_ns, type_name_of
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:
@@ -102,7 +102,11 @@ class AdaptivePublisher:
         self.event_handlers: tuple[()] = ()
         # A copy, so that later changes of the application's profile do not reach the next writer.
         own = copy(node._validate_qos_or_depth_parameter(qos_profile))  # noqa: SLF001 - the faults of create_publisher
-        self.topic_name: str = node.resolve_topic_name(topic)
+        try:
+            self.topic_name: str = node.resolve_topic_name(topic)
+        except RuntimeError:
+            node._validate_topic_or_service_name(topic)  # noqa: SLF001 - as above
+            raise
         self.qos_profile = overridden(node, self.topic_name, own, qos_overriding_options)
         self._requests = Requests(node, self.topic_name)
         self._node = node
@@ -123,12 +127,15 @@ class AdaptivePublisher:
         )
         self.qos_profile = copy(self._flow.swap.current.publisher.qos_profile)  # with the other overrides
         self._overrides = None
+        self._is_manual = self.qos_profile.liveliness == QoSLivelinessPolicy.MANUAL_BY_TOPIC
+        if lifespan_ns := period_ns(self.qos_profile.lifespan):
+            self._flow.lane.lifespan_s = lifespan_ns / 1e9
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
         self._flow.start.is_off |= self._keeps_all  # without a daemon every sample leaves, whatever its depth says
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
         if words := current_rmw().refusal:
             self._lasting_refusal = Refusal(RefusalReason.MIDDLEWARE, words)
-        elif self.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL:
+        elif self.qos_profile.durability != QoSDurabilityPolicy.VOLATILE:  # Fast DDS makes a default a TRANSIENT_LOCAL
             self._lasting_refusal = Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self.topic_name} {_LATCHED}")
         self._refusal = NO_REFUSAL
         self._refusals = 0  # readers that refused and that a warning named
@@ -165,6 +172,8 @@ class AdaptivePublisher:
             If it is neither.
         """
         self._thread.publish(self._flow.lane, serialized(msg, self.msg_type))
+        if self._is_manual:  # a sample that waits, or is withheld, asserts nothing
+            self.assert_liveliness()
 
     def pass_on(self, msg: Any, source: Hashable = None) -> None:
         """Publish without waiting for another write: for a caller that serves many topics, such as the relay.

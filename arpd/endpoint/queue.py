@@ -137,6 +137,7 @@ class PacedQueue:
     ) -> None:
         """Let a message wait for its turn; `Lane.offer` explains the arguments."""
         is_held_up, is_out = not self._is_open(now_s), self._is_out(now_s)
+        expires_s = min(expires_s, now_s + lane.lifespan_s)
         lane.offer(message, now_s, source=source, expires_s=expires_s, is_held_up=is_held_up, is_out=is_out)
         if lane not in self._active:
             self._active[lane] = None

@@ -12,7 +12,14 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSLivelinessPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Float64MultiArray, String
 
@@ -208,6 +215,31 @@ def test_overflow_takes_the_word_of_the_manual(node, clock):
     publisher.destroy()
 
 
+@pytest.mark.parametrize("topic", ["bad name!", "/a/{foo}", ""])
+def test_a_wrong_name_is_refused_as_rclpy_refuses_it(node, topic):
+    """By the same error, which names it."""
+    with pytest.raises(Exception, match=r"(?i)invalid|empty") as plain:
+        node.create_publisher(String, topic, 10)
+    with pytest.raises(type(plain.value)) as ours:
+        AdaptivePublisher(node, String, topic, 10)
+    assert str(ours.value) == str(plain.value)
+
+
+def test_a_publisher_that_is_slowed_stays_alive(ros, node, eventually):
+    """With MANUAL_BY_TOPIC what is published asserts its liveliness, though it waits or is withheld."""
+    manual = QoSProfile(
+        depth=1,
+        liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=LEASE_S),
+    )
+    publisher, asserted = AdaptivePublisher(node, String, TOPIC, manual), []
+    publisher.retune(TopicPlan(rate_hz=0.01, min_rate_hz=0.0, deadline_ns=0, depth=1))
+    publisher._flow.swap.current.publisher.assert_liveliness = lambda: asserted.append(None)
+    for number in "0123":
+        publisher.publish(String(data=number))
+    assert len(asserted) == 4
+
+
 @pytest.mark.parametrize(
     ("qos", "overflow", "fault", "words"),
     [
@@ -341,9 +373,10 @@ def test_an_override_out_of_bounds_is_refused_by_name(ros, name, value):
 REFUSED_ROW = TopicPlan(rate_hz=5.0, min_rate_hz=1.0, deadline_ns=500_000_000, depth=40)
 
 
-def test_a_latched_publisher_is_settled_by_its_rate(ros):
-    """A TRANSIENT_LOCAL topic refuses new QoS and says why; its rate confirms the plan."""
-    latched = QoSProfile(depth=3, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+@pytest.mark.parametrize("durability", ["TRANSIENT_LOCAL", "SYSTEM_DEFAULT", "BEST_AVAILABLE"])
+def test_a_latched_publisher_is_settled_by_its_rate(ros, durability):
+    """A TRANSIENT_LOCAL topic refuses new QoS and says why; its rate confirms the plan. Fast DDS' default is one."""
+    latched = QoSProfile(depth=3, durability=QoSDurabilityPolicy[durability])
     publisher = AdaptivePublisher(ros.node("talker"), String, "/map", latched)
     assert publisher.state().refusal_reason is RefusalReason.NONE
     publisher.retune(REFUSED_ROW)

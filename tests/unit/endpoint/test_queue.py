@@ -140,3 +140,15 @@ def test_a_lane_that_a_thread_is_at_delays_no_other_one():
     robot.lanes["a"].claimant = None
     robot.serve()
     assert len(robot.left["a"]) == 1
+
+
+@pytest.mark.parametrize(("lifespan_s", "left"), [(math.inf, 6), (0.3, 2)])
+def test_what_has_waited_longer_than_its_lifespan_does_not_leave(lifespan_s, left):
+    """Of a burst that its rate of 1 Hz holds up, the samples that are still worth something leave."""
+    robot = Participant()
+    robot.topic("a", plan(1.0, size=SMALL, depth=10, max_rate_hz=1.0), is_ordered=True)
+    robot.lanes["a"].lifespan_s = lifespan_s
+    for _ in range(6):
+        robot.offer("a", SMALL)
+    robot.play({}, 10.0)
+    assert len(robot.left["a"]) == left
