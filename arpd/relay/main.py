@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
-import os
 import platform
 import re
 import resource
@@ -30,7 +29,7 @@ from arpd.relay.ends.end import End
 from arpd.relay.ends.prefix import Prefixed
 from arpd.ros.rmw import Rmw, current_rmw
 from arpd.ros.runtime import (
-    PROFILE_VARIABLES,
+    PROFILE_VARIABLE,
     TWO_ENDED_PROFILE,
     prepare_environment,
     prepare_for_this_host,
@@ -153,8 +152,7 @@ def check_deaf_to_itself(node: Node) -> None:
     node.destroy_subscription(subscription)
     node.destroy_publisher(publisher)
     if hears_itself:
-        variables = " and ".join(name for name in PROFILE_VARIABLES if name in os.environ)
         raise RosUnavailableError(
             "the Fast DDS profile of this process lets it hear its own samples, which would circle; add "
-            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {variables}"
+            f"fastdds.ignore_local_endpoints=true to it, as in {TWO_ENDED_PROFILE}, or unset {PROFILE_VARIABLE}"
         )

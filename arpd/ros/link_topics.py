@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from arpd.model.link_topics import LinkTopic
 from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_full_name
+from arpd.ros.runtime import PROFILE_VARIABLE, UDP_PROFILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -32,7 +33,8 @@ class FoundTopic:
 def is_confined(environment: Mapping[str, str] = os.environ) -> bool:
     """Return whether ROS in this process sees the nodes of this host only."""
     wanted = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
-    return wanted == "LOCALHOST" or environment.get("ROS_LOCALHOST_ONLY") == "1"
+    is_profiled = environment.get(PROFILE_VARIABLE) == str(UDP_PROFILE)  # which stands for that range
+    return is_profiled or wanted == "LOCALHOST" or environment.get("ROS_LOCALHOST_ONLY") == "1"
 
 
 def cannot_tell_hosts(rmw: Rmw, environment: Mapping[str, str] = os.environ) -> str:

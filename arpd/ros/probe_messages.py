@@ -16,7 +16,7 @@ _TRAIN = struct.Struct("<IffH")  # bytes, duration s, sent in s, packets
 _PROBE_VERSION = 1
 _REPORT_VERSION = 3
 _MOST = 32  # delays or trains in one report
-_MOST_NAME = 64  # bytes
+MOST_NAME_BYTES = 64
 _MOST_INTERVAL_S = 60.0  # no report covers a longer one
 _MOST_DELAY_S = 1e10  # two clocks differ by less, even when one of them was never set
 _MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its benchmark a hundred
@@ -62,7 +62,7 @@ def encode_report(report: PeerReport) -> bytes:
     """Make one report: 32 bytes and the name, with one delay; 14 more with a train."""
     delays, trains = report.delays_s[-_MOST:], report.trains[-_MOST:]
     # A name that is too long is cut between two characters.
-    name = report.peer.encode()[:_MOST_NAME].decode(errors="ignore").encode()
+    name = report.peer.encode()[:MOST_NAME_BYTES].decode(errors="ignore").encode()
     head = _REPORT.pack(
         _REPORT_VERSION,
         len(delays),
@@ -105,7 +105,7 @@ def decode_report(data: bytes) -> PeerReport:
         and all(abs(delay) < _MOST_DELAY_S for delay in delays)
         and all(_is_possible(train) for train in trains)
     )
-    if not is_possible or not 0 < name_size <= _MOST_NAME or not peer.isprintable():
+    if not is_possible or not 0 < name_size <= MOST_NAME_BYTES or not peer.isprintable():
         raise ValueError("peer report with an impossible name or impossible numbers")
     return PeerReport(
         peer=peer,

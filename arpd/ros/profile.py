@@ -8,13 +8,13 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES
+from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _INSTALLED = Path("/usr/share/arpd/fastdds.xml")  # by the Debian package
-_IN_FOLDER = ("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml")  # Fast DDS reads these, too
+_IN_FOLDER = "DEFAULT_FASTRTPS_PROFILES.xml"  # Fast DDS reads it, too
 # A transport has an element for its size of messages, writers and participants a property.
 _SETTINGS = {
     "heartbeat period": ["<heartbeatPeriod>"],
@@ -29,7 +29,7 @@ _warned = threading.Lock()  # held for good by the first that warns
 
 def profile_line() -> str:
     """Return the line of a shell that gives the profile to processes started after it."""
-    return f"export {PROFILE_VARIABLES[0]}={_INSTALLED if os.access(_INSTALLED, os.R_OK) else FASTDDS_PROFILE}"
+    return f"export {PROFILE_VARIABLE}={_INSTALLED if os.access(_INSTALLED, os.R_OK) else FASTDDS_PROFILE}"
 
 
 def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
@@ -37,10 +37,10 @@ def missing_in_profile(environment: Mapping[str, str], *, folder: Path) -> str:
 
     A profile of the user's own is as good as arpd's if it has both settings, whatever their values.
     """
-    named = [Path(environment[name]) for name in PROFILE_VARIABLES if environment.get(name)]
-    read = {path: text for path in (*named, *map(folder.joinpath, _IN_FOLDER)) if (text := _text(path))}
+    named = environment.get(PROFILE_VARIABLE, "")
+    read = {path: text for path in (Path(named), folder / _IN_FOLDER) if (text := _text(path))}
     if not read:
-        return f"{named[0]} cannot be read" if named else f"{PROFILE_VARIABLES[0]} is not set"
+        return f"{named} cannot be read" if named else f"{PROFILE_VARIABLE} is not set"
     wanting = [words for words, names in _SETTINGS.items() if not any(map("\n".join(read.values()).count, names))]
     return f"{next(iter(read))} sets no {' and no '.join(wanting)}" if wanting else ""
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _TURN_S = 0.1
 FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
-PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # the name that begins with FASTDDS is of Fast DDS 3
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
 _RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
@@ -38,7 +38,7 @@ OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
-_UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
+UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
 # Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), which returns XML_OK, and get_instance() of
 # DomainParticipantFactory with set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the
 # profiles again.
@@ -60,11 +60,8 @@ _TOLD = (
 
 def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping[str, str] = os.environ) -> None:
     """Give Fast DDS arpd's profile, unless the user has chosen another one than arpd's, and the sight of all topics."""
-    chosen = [environment[name] for name in PROFILE_VARIABLES if name in environment]
-    if not any(_is_another(Path(path)) for path in chosen):
-        for name in PROFILE_VARIABLES:
-            environment.pop(name, None)
-        environment[PROFILE_VARIABLES[0]] = str(profile)
+    if not _is_another(Path(environment.get(PROFILE_VARIABLE, ""))):
+        environment[PROFILE_VARIABLE] = str(profile)
     if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
         environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
     if profile in {TWO_ENDED_PROFILE, DAEMON_PROFILE}:
@@ -85,12 +82,12 @@ def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ) ->
     With UDP alone the range is no longer LOCALHOST, in which rmw_fastrtps adds shared memory, but the profile's own,
     which is the same. Only in LOCALHOST and SUBNET it takes ROS_STATIC_PEERS, so they are written into the profile.
     """
-    is_ours = environment.get(PROFILE_VARIABLES[0]) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
+    is_ours = environment.get(PROFILE_VARIABLE) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
     if is_ours and environment.get(_RANGE) == "LOCALHOST":
         profiles = [_GHOSTS_PROFILE.read_text()]
         has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
         if has_udp_alone:
-            profiles.append(_with_peers(_UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
+            profiles.append(_with_peers(UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
         if _load(*profiles) and has_udp_alone:  # else rmw_fastrtps names the peer that has no address
             environment[_RANGE] = "SYSTEM_DEFAULT"
 
@@ -123,7 +120,7 @@ def _told_address(address: str | None, environment: MutableMapping[str, str] = o
     of a second network, both lead over the link, by a route of their own or by the default route: measured, everything
     crossed twice. It still listens on every interface, so processes on this computer hear it without the link.
     """
-    file = environment.get(PROFILE_VARIABLES[0], "")
+    file = environment.get(PROFILE_VARIABLE, "")
     if address is None or file not in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}:
         yield
         return
@@ -153,8 +150,8 @@ def any_user_heard(environment: MutableMapping[str, str] = os.environ) -> Iterat
     chosen = environment.get(_RANGE)
     is_fast_dds = chosen_rmw(environment).is_fast_dds
     if is_fast_dds and (chosen, environment[_VARIABLE], environment.get(_PEERS, "")) == ("LOCALHOST", "UDPv4", ""):
-        prepare_environment(_UDP_PROFILE, environment)
-        if environment.get(PROFILE_VARIABLES[0]) == str(_UDP_PROFILE):
+        prepare_environment(UDP_PROFILE, environment)
+        if environment.get(PROFILE_VARIABLE) == str(UDP_PROFILE):
             environment[_RANGE] = "SYSTEM_DEFAULT"
     try:
         yield
@@ -211,7 +208,8 @@ def ros_node(
                     start_parameter_services=False,
                     parameter_overrides=[Parameter("start_type_description_service", value=False)],
                 )
-    except RuntimeError as error:  # RCLError is one: no keys for SROS 2, a middleware without it, a node name taken
+    # RCLError is the first: no keys for SROS 2, a middleware without it, a node name taken. rcl reads the command line.
+    except (RuntimeError, UnicodeError) as error:
         rclpy.try_shutdown(context=context)
         if link and not _has_address(link.peer):
             raise LinkError(

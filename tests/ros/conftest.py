@@ -19,10 +19,10 @@ def environment(monkeypatch):
     """Keep this process, and those that it starts, on this host, with the profile of users' nodes."""
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLES, prepare_environment
+    from arpd.ros.runtime import FASTDDS_PROFILE, PROFILE_VARIABLE, prepare_environment
 
-    for name in PROFILE_VARIABLES:  # a test may have left another one of arpd's, which would be kept
-        monkeypatch.delenv(name, raising=False)
+    # A test may have left another one of arpd's, which would be kept.
+    monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
     prepare_environment(FASTDDS_PROFILE)
 
 

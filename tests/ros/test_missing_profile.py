@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from arpd.ros.runtime import PROFILE_VARIABLES
+from arpd.ros.runtime import PROFILE_VARIABLE
 from tests.ros.world import DOMAIN, REPO
 
 PROCESS = """
@@ -22,7 +22,7 @@ rclpy.try_shutdown()
 
 def test_a_process_without_the_profile_says_so_once(environment, tmp_path):
     """Of two nodes one warns, with the line that mends it; both tell the daemon."""
-    variables = {name: value for name, value in os.environ.items() if name not in PROFILE_VARIABLES}
+    variables = {name: value for name, value in os.environ.items() if name != PROFILE_VARIABLE}
     done = subprocess.run(
         [sys.executable, "-c", PROCESS],
         env=variables | {"ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": str(REPO)},
