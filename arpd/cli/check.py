@@ -42,11 +42,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         "--far", action="store_true", help="check for the far end, on the base computer; link.interface is the robot's"
     )
     parser.add_argument("--no-interfaces", action="store_true", help="interface and addresses are another computer's")
+    parser.add_argument(
+        "--late-interface", action="store_true", help="link.interface may come later, as for the daemon"
+    )
     add_json(parser)
 
 
 def _check(options: argparse.Namespace) -> int:
-    interfaces = None if options.far or options.no_interfaces else list_interfaces
+    knows_none = options.far or options.no_interfaces or options.late_interface
+    interfaces = None if knows_none else list_interfaces
     try:
         settings = load_settings(options.file, interfaces=interfaces, local_domain=domain_of_units())
         if not options.no_interfaces:

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from arpd.cli.client import Daemon
-from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address
+from arpd.cli.options import DEFAULT_CONFIG, DEFAULT_URL, Address, is_missing
 from arpd.host.addresses import own_address
 from arpd.host.config.load import domain_of_units, load_settings
 from arpd.host.config.yaml_source import YamlSource
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from arpd.web.api import Status
 
-_ANY = {"", "0.0.0.0", "::"}  # noqa: S104 - recognised in the configuration, not bound
+_ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - recognised in the configuration, not bound
 
 
 class Here:
@@ -79,8 +79,9 @@ class Here:
         named, used = self._options.config, {name for name, unit in (self.units or {}).items() if unit.is_used}
         needed = {_file_of(name) for name in used - {"arpd-peer"}}  # which may have none
         paths = {named} if named is not DEFAULT_CONFIG else needed or {DEFAULT_CONFIG}
-        for path in sorted(paths, reverse=True):  # the settings stay those of the first
-            is_missed = not os.access(path, os.F_OK) and (path in needed or path != DEFAULT_CONFIG)
+        # The settings stay those of the last: of the robot that this computer is, not of one that it is the base of.
+        for path in sorted(paths, key=lambda each: (each == DEFAULT_CONFIG, each)):
+            is_missed = is_missing(path) and (path in needed or path != DEFAULT_CONFIG)
             self.faults[path] = self._faults_of(path) if is_missed or os.access(path, os.R_OK) else None
 
     def _faults_of(self, path: Path) -> list[str]:
@@ -90,7 +91,7 @@ class Here:
             self.settings = load_settings(path, interfaces=interfaces, local_domain=domain_of_units())
             own_address(path, self.settings.relay.link(is_far=self.is_far), is_far=self.is_far)
         except ConfigError as error:
-            if path is self._options.config and not path.exists():
+            if path is self._options.config and is_missing(path):
                 raise
             return error.faults
         return []
@@ -100,7 +101,7 @@ class Here:
             return NotKnownError("only the robot's daemon tells; if its port is open, name it: --url http://ROBOT:9464")
         http, address = self.settings.http, self._options.url
         if address.url == DEFAULT_URL:
-            http = replace(http, host="127.0.0.1") if http.host in _ANY else http
+            http = replace(http, host=_ANY.get(http.host, http.host))
             url = f"{self._scheme()}://{http.netloc}"
             address = Address(url, http.host, url)
         try:
@@ -116,7 +117,7 @@ class Here:
         """Return what the daemon speaks, as far as this user may read the web-config; the key is for arpd alone."""
         if web_config := self.settings.http.web_config:
             with suppress(ConfigError):
-                if "tls_server_config" in YamlSource(next(iter(self.faults)).parent / web_config).data:
+                if "tls_server_config" in YamlSource([*self.faults][-1].parent / web_config).data:
                     return "https"
         return "http"
 

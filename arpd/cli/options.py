@@ -38,7 +38,16 @@ def add_config(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
 def config_of(options: argparse.Namespace) -> Path | None:
     """Return the file of ``--config``, None where the installed one is missing and nobody named another."""
     config: Path = options.config
-    return None if config is DEFAULT_CONFIG and not config.exists() else config  # the same path given is another object
+    return None if config is DEFAULT_CONFIG and is_missing(config) else config  # the same path given is another object
+
+
+def is_missing(path: Path) -> bool:
+    """Return whether there is no such file; one in a folder that is closed to this user may be there."""
+    try:
+        path.stat()
+    except OSError as error:
+        return isinstance(error, FileNotFoundError | NotADirectoryError)
+    return False
 
 
 def add_json(parser: argparse.ArgumentParser, about: str = "print JSON") -> None:

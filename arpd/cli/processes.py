@@ -7,6 +7,7 @@ import argparse
 from arpd.cli.options import Command, add_config, config_of
 from arpd.model.quantities import printable
 from arpd.ros.names import is_full_name
+from arpd.ros.probe_messages import MOST_NAME_BYTES
 from arpd.ros.rmw import require_middleware
 
 _LEVELS = ("debug", "info", "warning", "error")
@@ -87,8 +88,16 @@ def _relay(options: argparse.Namespace) -> int:
 def _add_peer(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--interface", default="auto", help="interface of the link on this host (default %(default)s)")
     add_config(parser, otherwise="none where that does not exist")
-    parser.add_argument("--name", metavar="HOST", help="name in the reports (default: this host's name)")
+    about = "name in the reports (default: that of this host, and the end of its interface's address)"
+    parser.add_argument("--name", type=_peer_name, metavar="HOST", help=about)
     _add_log_level(parser)
+
+
+def _peer_name(word: str) -> str:
+    if not word.isprintable() or not 0 < len(word.encode()) <= MOST_NAME_BYTES:
+        what = f"write up to {MOST_NAME_BYTES} bytes of printable characters"
+        raise argparse.ArgumentTypeError(f"'{printable(word)}' is no name; {what}")
+    return word
 
 
 def _peer(options: argparse.Namespace) -> int:

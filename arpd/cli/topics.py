@@ -18,7 +18,7 @@ from arpd.host.config.first_file import first_file
 from arpd.host.config.load import load_settings, local_domain
 from arpd.host.kernel import link_interface
 from arpd.model.errors import ArpdError, UsageError
-from arpd.model.kinds import address
+from arpd.model.kinds import NONE, address
 from arpd.model.names import is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.model.settings import RelaySettings, Settings
@@ -102,6 +102,8 @@ def _list_topics(options: argparse.Namespace) -> int:
 
 
 def _address(word: str) -> str:
+    if word == NONE:
+        raise argparse.ArgumentTypeError(f"{NONE} is no address; leave the option out")
     try:
         return address(word)
     except ValueError as error:

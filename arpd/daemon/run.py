@@ -21,6 +21,7 @@ from arpd.host.journal import configure_logging, log_event
 from arpd.host.kernel import interface_of_link
 from arpd.host.notify import Notifier
 from arpd.model.settings import OnStop, Settings
+from arpd.web.web_config import load_protection
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -84,6 +85,17 @@ def new_durations() -> dict[str, Histogram]:
     }
 
 
+def load(config_path: Path) -> Settings:
+    """Read and check a configuration as a start does, so that no reload takes one that the next start refuses.
+
+    The link interface may come later. Raises ConfigError.
+    """
+    settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
+    own_address(config_path, settings.relay.link(is_far=False), is_far=False)
+    load_protection(settings.http, directory=config_path.parent)
+    return settings
+
+
 def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = None) -> int:
     """Run the daemon until SIGTERM or SIGINT.
 
@@ -104,11 +116,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     configure_logging(log_level)
     notifier = Notifier()
 
-    def load() -> Settings:
-        # The interface may come later.
-        return load_settings(config_path, interfaces=None, local_domain=local_domain())
-
-    settings = load()  # before ROS is imported, so that a fault in the file shows at once
+    settings = load(config_path)  # before ROS is imported, so that a fault in the file shows at once
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     link_domain = settings.relay.link(is_far=False)
@@ -156,7 +164,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             daemon,
             signals,
             notifier,
-            load=load,
+            load=lambda: load(config_path),
             fault=lambda: web.fault,
             is_cut_off=addresses.are_outdated,
             resting=resting,

@@ -79,7 +79,7 @@ def of_route(address: str, read: Callable[[socket.socket], T]) -> T | None:
 def _default_route() -> str:
     """Return the interface of the IPv4 default route (/proc/net/route, proc_net(5)), empty if there is none."""
     try:
-        lines = _PROC_ROUTE.read_text().splitlines()[1:]
+        lines = _PROC_ROUTE.read_text(errors="replace").splitlines()[1:]
     except OSError:
         return ""
     fields = (line.split() for line in lines)
@@ -113,11 +113,12 @@ def ipv4_addresses() -> dict[str, frozenset[str]]:
         every = psutil.net_if_addrs()
     except OSError:
         return {}
-    return {
-        name: found
-        for name, addresses in every.items()
-        if (found := frozenset(address.address for address in addresses if address.family == socket.AF_INET))
-    }
+    found: dict[str, frozenset[str]] = {}
+    for label, addresses in every.items():
+        name = label.partition(":")[0]  # glibc tells the label of an address, as eth0:1, for the name of its interface
+        own = {address.address for address in addresses if address.family == socket.AF_INET}
+        found[name] = found.get(name, frozenset()) | own
+    return {name: own for name, own in found.items() if own}
 
 
 def running_addresses() -> dict[str, frozenset[str]]:

@@ -85,7 +85,7 @@ def link_in(body: bytes) -> tuple[int, bool, LinkCounters]:
     rx_packets, tx_packets, rx_bytes, tx_bytes, _, _, _, tx_dropped = _STATS.unpack_from(told[_STATS64])
     without_carrier = InterfaceState.NO_CARRIER if flags & _UP else InterfaceState.DOWN
     counters = LinkCounters(
-        interface=told[_NAME].rstrip(b"\0").decode(),
+        interface=told[_NAME].rstrip(b"\0").decode(errors="replace"),
         rx_bytes=rx_bytes,
         tx_bytes=tx_bytes,
         rx_packets=rx_packets,

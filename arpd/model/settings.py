@@ -23,6 +23,7 @@ from arpd.model.wire import MOST_DOMAIN, domain_port
 
 AUTO = "auto"  # for link.interface: arpd chooses
 DEFAULT_RELAY_DEPTH = 10  # what every rclpy tutorial passes to create_publisher
+_LISTENING = r"^([A-Za-z0-9._-]{1,253}|[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{0,35}:[0-9A-Fa-f.]{0,15})$"
 
 
 def key_of(attribute: str) -> str:
@@ -101,7 +102,7 @@ class GovernorSettings(Section):
 class HttpSettings(Section):
     """Settings of the server of metrics, status and page."""
 
-    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")] = "127.0.0.1"
+    host: Annotated[str, Field(pattern=_LISTENING)] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 9464
     web_config: Annotated[str | None, Field(pattern=r"^[^\x00\r\n]+$", max_length=4096), *or_word(NONE)] = None
 

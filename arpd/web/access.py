@@ -9,7 +9,7 @@ import os
 import socket
 import time
 from contextlib import suppress
-from functools import cache
+from functools import lru_cache
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
@@ -116,7 +116,8 @@ class Access:
             ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             async with self._naming:  # one thread at a time: it may have to wait for a name server
-                return name in await asyncio.to_thread(_own_names, socket.gethostname().lower())
+                minute = time.monotonic() // 60.0  # the full name may not be known at first
+                return name in await asyncio.to_thread(_own_names, socket.gethostname().lower(), minute)
         return True
 
     def follow(self) -> bool:
@@ -157,8 +158,8 @@ def exposure(addresses: Iterable[str], protection: Protection) -> str:
     return ""
 
 
-@cache
-def _own_names(name: str) -> frozenset[str]:
+@lru_cache(maxsize=1)
+def _own_names(name: str, _minute: float) -> frozenset[str]:
     short = name.partition(".")[0]  # some computers have their whole name as host name; mDNS takes the first part
     return frozenset({name, short, f"{short}.local", socket.getfqdn().lower()})
 

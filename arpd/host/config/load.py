@@ -74,7 +74,8 @@ def in_force(old: Settings, new: Settings) -> Settings:
 def local_domain(environment: Mapping[str, str] = os.environ) -> int | None:
     """Return the domain that rcl takes from the environment; None if ROS_DOMAIN_ID is no number, which rcl refuses."""
     try:
-        return int(environment.get("ROS_DOMAIN_ID") or "0", base=0)
+        text = environment.get("ROS_DOMAIN_ID") or "0"
+        return int(text, base=8 if re.fullmatch("0[0-7]+", text) else 0)  # as strtoul(3), which rcl asks
     except ValueError:
         return None
 
@@ -83,7 +84,8 @@ def domain_of_units() -> int | None:
     """Return the domain of arpd's units and of the nodes beside them, which a shell need not have."""
     given: dict[str, str] = {}
     with suppress(OSError):
-        given.update(re.findall(r'^(ROS_DOMAIN_ID)=["\']?(\w*)', OF_UNITS.read_text(errors="replace"), re.MULTILINE))
+        text = OF_UNITS.read_text(errors="replace")
+        given.update(re.findall(r'^\s*(ROS_DOMAIN_ID)\s*=\s*["\']?(\w*)', text, re.MULTILINE))
     return local_domain({**os.environ, **given})
 
 

@@ -89,7 +89,10 @@ class Past {
   #forget() {
     for (const column of [this.times, this.states]) column.shift();
     for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).shift();
-    for (const topic of this.topics.values()) for (const one of TOPIC_SERIES) topic[one.key].shift();
+    for (const [name, topic] of this.topics) {
+      for (const one of TOPIC_SERIES) topic[one.key].shift();
+      if (TOPIC_SERIES.every((one) => topic[one.key].every((value) => value === null))) this.topics.delete(name);
+    }
   }
 }
 
@@ -132,7 +135,9 @@ export class Charts {
     if (names.join() === [...this.choice.options].map((option) => option.value).join()) return;
     const first = known.reduce((most, topic) => (most && most.kept_ratio <= topic.kept_ratio ? most : topic), null);
     const chosen = names.includes(this.choice.value) ? this.choice.value : first && identity(first);
-    this.choice.replaceChildren(...known.map((topic) => new Option(topic.topic, identity(topic))));
+    const isOne = (topic) => known.filter((other) => other.topic === topic.topic).length === 1;
+    const label = (topic) => (isOne(topic) ? topic.topic : `${topic.topic} (${topic.node})`);
+    this.choice.replaceChildren(...known.map((topic) => new Option(label(topic), identity(topic))));
     if (chosen) this.choice.value = chosen;
   }
 
@@ -145,7 +150,8 @@ export class Charts {
       this.#draw(chart, chart.series.map(column));
     }
     const topic = past.topics.get(this.choice.value);
-    if (topic) this.#draw({ id: "topic", unit: "Hz", least: 1, series: TOPIC_SERIES }, TOPIC_SERIES.map((one) => topic[one.key]));
+    if (!topic) this.#clear("topic");
+    else this.#draw({ id: "topic", unit: "Hz", least: 1, series: TOPIC_SERIES }, TOPIC_SERIES.map((one) => topic[one.key]));
   }
 
   #draw(chart, columns) {
@@ -159,6 +165,12 @@ export class Charts {
       this.plots.set(chart.id, plot);
     }
     if (plot.cursor.idx === null || plot.cursor.idx === undefined) plot.setLegend({ idx: data[0].length - 1 });
+  }
+
+  #clear(id) {
+    document.getElementById(`text-${id}`).textContent = "";
+    this.plots.get(id)?.destroy();
+    this.plots.delete(id);
   }
 
   #options(chart) {

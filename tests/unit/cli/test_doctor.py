@@ -140,6 +140,18 @@ def test_the_file_of_each_robot_is_judged(run, computer, tmp_path):
     assert "arpd.yaml are valid" in told
 
 
+def test_a_robot_that_is_the_base_of_another_one_asks_its_own_daemon(run, computer, tmp_path):
+    """Whatever the other one is called: its file says where another daemon listens."""
+    installed = tmp_path / "arpd.yaml"
+    computer(here, service_states=lambda *_: {"arpd": ACTIVE, "arpd-peer@alpha": ACTIVE}, DEFAULT_CONFIG=installed)
+    computer(here, used_on_base=lambda _: {})
+    computer(options, DEFAULT_CONFIG=installed)
+    (tmp_path / "alpha").mkdir()
+    for path, port in ((installed, 1), (tmp_path / "alpha/arpd.yaml", 2)):
+        path.write_text(f"http: {{port: {port}}}\n")
+    assert "no daemon answers at http://127.0.0.1:1 " in run("doctor", "--json")[1]
+
+
 @pytest.mark.parametrize(("unit", "health"), [("arpd", "wrong"), ("arpd-peer", "unknown")])
 def test_a_missing_file_is_wrong_where_a_unit_needs_it(run, computer, tmp_path, unit, health):
     """Only a peer without a name does without; a file that is named with --config is a typo, see below."""
@@ -167,6 +179,8 @@ def test_a_daemon_with_tls_is_asked_by_https(run, config, tmp_path):
     out = run("doctor", "--json", "--config", path)[1]
     assert "no daemon answers at http://127.0.0.1:1 " in out
     assert healths(out)["configuration"] == "fine"
+    path = config("http: {port: 1, host: '::'}\n")
+    assert "no daemon answers at http://[::1]:1 " in run("doctor", "--json", "--config", path)[1]
 
 
 def test_a_file_that_is_named_is_there(run, tmp_path):

@@ -6,15 +6,18 @@ import io
 import json
 import subprocess
 import sys
-from types import ModuleType
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
 
+from arpd.cli.options import is_missing
+from arpd.daemon.run import load
 from arpd.host import addresses
 from arpd.host.config.keys import flatten
 from arpd.host.config.load import load_settings
-from arpd.model.errors import LinkError, RosUnavailableError
+from arpd.model.errors import ConfigError, LinkError, RosUnavailableError
 from arpd.model.settings import Backend
 
 TOPICS = "--sensing 11 --actuation 0"
@@ -34,7 +37,10 @@ TOPICS = "--sensing 11 --actuation 0"
         ("topics --seconds nan", "--seconds"),
         ("topics --robot 10.0.0.1", "--suggest"),
         ("topics --suggest --base 10.0.0", "--base"),
+        ("topics --suggest --base none", "--base"),
         ("topics --suggest --json", "not allowed with"),
+        ("peer --name a\x07b", "--name"),
+        (f"peer --name {'x' * 65}", "--name"),
         ("doctor --listen soon", "--listen"),
         ("doctor --interface nosuch0", "--interface"),
         ("relay --node-name a-b", "--node-name"),
@@ -86,7 +92,9 @@ def test_a_bad_configuration_exits_78_with_one_line_per_fault(run, config, text,
 def test_the_interface_of_the_file_is_one_of_this_host(run, config):
     """The far end has other ones, and an option says that the file is for another computer."""
     path = config("link: {interface: nosuch0}")
-    assert [run("check", *options, path)[0] for options in ((), ("--no-interfaces",), ("--far",))] == [78, 0, 0]
+    assert [
+        run("check", *options, path)[0] for options in ((), ("--no-interfaces",), ("--late-interface",), ("--far",))
+    ] == [78, 0, 0, 0]
 
 
 def test_check_says_what_differs_from_the_defaults(run, config):
@@ -126,6 +134,9 @@ def test_check_knows_this_computers_addresses(run, config, monkeypatch):
     assert (code, out) == (78, "")
     assert err.startswith(f"{path}:1:32: relay.base: 10.0.0.1 is an address of this computer, where arpd-peer ")
     assert [run("check", option, path)[0] for option in ("--far", "--no-interfaces")] == [0, 0]
+    assert run("check", "--late-interface", path)[0] == 78
+    with pytest.raises(ConfigError, match=r"relay.base: 10.0.0.1 is an address of this computer"):
+        load(Path(path))  # so a reload is refused as well
 
 
 @pytest.mark.parametrize(
@@ -248,3 +259,10 @@ def test_check_reads_the_web_config_too(run, tmp_path):
     (tmp_path / "web.yaml").write_text("basic_auth_users: {a: x}")
     code, out, err = run("check", tmp_path / "arpd.yaml")
     assert (code, out, err.startswith(f"{tmp_path}/web.yaml:1:23: basic_auth_users.a: ")) == (78, "", True)
+
+
+def test_a_file_in_a_folder_that_is_closed_is_not_missing(tmp_path):
+    """Who may not look whether it is there hears that it cannot be read, and gets no defaults."""
+    closed = SimpleNamespace(stat=Mock(side_effect=PermissionError(13, "Permission denied")))
+    paths = tmp_path / "no.yaml", Path(__file__) / "no.yaml", tmp_path, closed
+    assert [*map(is_missing, paths)] == [True, True, False, False]

@@ -232,6 +232,16 @@ def test_what_is_down_has_no_address_that_dds_takes(monkeypatch):
     assert interface.running_addresses() == {"wlan0": frozenset({"10.0.0.1"})}
 
 
+def test_an_address_with_a_label_is_that_of_its_interface(monkeypatch):
+    """Ifupdown and keepalived label addresses, and the C library tells the label for the name."""
+    told = {
+        name: [SimpleNamespace(family=socket.AF_INET, address=f"10.0.0.{number}")]
+        for number, name in enumerate(("eth0", "eth0:1", "eth1:vip"))
+    }
+    monkeypatch.setattr(psutil, "net_if_addrs", lambda: told)
+    assert interface.ipv4_addresses() == {"eth0": {"10.0.0.0", "10.0.0.1"}, "eth1": {"10.0.0.2"}}
+
+
 def test_a_kernel_that_does_not_answer_is_no_error(tmp_path, monkeypatch):
     """If no file can be opened, there is no interface, address or choice, and nothing raises."""
     refuse = Mock(side_effect=OSError(24, "Too many open files"))

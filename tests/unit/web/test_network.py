@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 
 import pytest
 
@@ -193,6 +194,9 @@ def test_a_page_of_another_name_reads_nothing(folder, monkeypatch):
         name = "Robot.example.com"  # DHCP gave it another one
         for host in (*own, *others, "arpd-test"):
             assert world.get("/api/v1/history", Host=host).status == (200 if host in own else 421), host
+        monkeypatch.setattr(socket, "getfqdn", lambda: "Robot.example.org")  # a name server is there now
+        monkeypatch.setattr(access, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + 60.0))
+        assert world.get("/api/v1/history", Host="robot.example.org").status == 200
 
 
 @pytest.mark.parametrize(("text", "part"), [(None, b"GET / HT"), (TLS, b"\x16\x03\x01\x02\x00")])
@@ -221,7 +225,7 @@ def test_a_scrape_gets_through_a_flood_of_half_open_connections(folder, text, pa
 def test_a_name_server_that_is_silent_keeps_no_scrape_out(monkeypatch):
     """However many ask by another name, who asks by an address waits for none of them."""
     answers = threading.Event()
-    monkeypatch.setattr(access, "_own_names", lambda _: answers.wait(60.0) and frozenset())
+    monkeypatch.setattr(access, "_own_names", lambda *_: answers.wait(60.0) and frozenset())
     with running() as world, ThreadPoolExecutor(MAX_CONNECTIONS // 2) as threads:
         others = [threads.submit(world.get, Host="rebound.example") for _ in range(MAX_CONNECTIONS // 2)]
         assert world.get("/metrics").status == 200

@@ -10,6 +10,7 @@ from threading import Thread
 import pytest
 import yaml
 
+from arpd.host.config import load as loading
 from arpd.host.config.keys import SCHEMA, SECTIONS, flatten, spelled
 from arpd.host.config.load import load_settings
 from arpd.model.errors import ConfigError
@@ -181,6 +182,7 @@ ONE_FAULT = [
     ("link:\n  interface: wlan9\n", "2:14: link.interface", "write auto or one of eth0, lo, wlan0"),
     ("link: {interface: ../lo}", "1:19: link.interface", "'../lo' is empty, too long, or has a character that cannot"),
     ("http: {host: ''}", "1:14: http.host", "'' is empty"),
+    ("http: {host: 'robot:99'}", "1:14: http.host", "'robot:99' is empty, too long, or has a character that cannot"),
     # keys
     ("link:\n  headrom: 0.9\n", "2:3: link.headrom", "did you mean headroom?"),
     ("port: 80\n", "1:1: port", "did you mean http.port?"),
@@ -349,3 +351,21 @@ topics:
     info, own = settings.topic("/camera/right/info"), settings.topic("/camera/left/image")
     assert (info.max_rate_hz, info.max_depth, info.min_rate_hz, own.min_rate_hz) == (5.0, 7, None, 1.0)
     assert load("topics: [{name: /a/*, weight: 2}]").topic("/b") == Preferences()
+
+
+@pytest.mark.parametrize(
+    ("lines", "domain"),
+    [
+        ("", 0),
+        ("ROS_DOMAIN_ID=7", 7),
+        (" ROS_DOMAIN_ID = '77'", 77),
+        ("ROS_DOMAIN_ID=010", 8),
+        ("ROS_DOMAIN_ID=x", None),
+    ],
+)
+def test_the_domain_of_the_units_is_read_as_systemd_and_rcl_do(monkeypatch, tmp_path, lines, domain):
+    """With spaces, which an environment file may have, and by the bases of strtoul(3)."""
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    monkeypatch.setattr(loading, "OF_UNITS", tmp_path / "default")
+    (tmp_path / "default").write_text(f"# comment\n{lines}\n")
+    assert loading.domain_of_units() == domain
