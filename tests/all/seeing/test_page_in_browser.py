@@ -271,6 +271,23 @@ def test_a_hundred_topics_stay_readable(daemon, visit):
     assert seen.says("document.querySelector('.tall').clientHeight <= 0.9 * innerHeight")
 
 
+def test_no_chart_shows_a_topic_that_is_gone_as_it_is_now(daemon, visit):
+    """Where two nodes publish one topic the choice names them; where all have left the chart goes, and its sentence."""
+    both = tuple(publisher(f"/n{n}", "/t", source_rate_hz=5.0) for n in range(2))
+    seen, before = visit(), daemon.snapshot
+    seen.await_charts()
+    names = "[...document.querySelectorAll('select option')].map((option) => option.text).join()"
+    sentence = "document.querySelector('#text-topic').textContent"
+    for later_s, publishers, offered in ((5.0, both, "/t (/n0),/t (/n1)"), (10.0, (), "")):
+        observation = replace(before.observation, publishers=publishers)
+        daemon.snapshot = replace(before, observation=observation, unix_time_s=before.unix_time_s + later_s)
+        eventually("they are named", lambda offered=offered: seen.says(names) == offered)
+        assert ("5.00 Hz now" in seen.says(sentence)) is bool(publishers)
+    assert seen.says(sentence) == ""
+    assert seen.says("document.querySelector('#chart-topic').childElementCount") == 0
+    assert seen.complaints == []
+
+
 def test_no_width_overflows(daemon, visit):
     """From a small phone to a wide screen the page itself never scrolls sideways; wide tables do inside."""
     seen = visit(size=PHONE)
