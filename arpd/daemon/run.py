@@ -24,6 +24,7 @@ from arpd.model.settings import OnStop, Settings
 from arpd.web.web_config import load_protection
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Future
     from pathlib import Path
 
@@ -85,15 +86,18 @@ def new_durations() -> dict[str, Histogram]:
     }
 
 
-def load(config_path: Path) -> Settings:
+def load(config_path: Path) -> tuple[Settings, Callable[[], str | None]]:
     """Read and check a configuration as a start does, so that no reload takes one that the next start refuses.
 
     The link interface may come later. Raises ConfigError.
+
+    Returns
+    -------
+    The settings, and what finds this computer's address on the link (`own_address`).
     """
     settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
-    own_address(config_path, settings.relay.link(is_far=False), is_far=False)
     load_protection(settings.http, directory=config_path.parent)
-    return settings
+    return settings, own_address(config_path, settings.relay.link(is_far=False), is_far=False)
 
 
 def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = None) -> int:
@@ -116,11 +120,10 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
     configure_logging(log_level)
     notifier = Notifier()
 
-    settings = load(config_path)  # before ROS is imported, so that a fault in the file shows at once
+    settings, own = load(config_path)  # before ROS is imported, so that a fault in the file shows at once
     from arpd.ros import runtime  # noqa: PLC0415 - as above
 
     link_domain = settings.relay.link(is_far=False)
-    own = own_address(config_path, link_domain, is_far=False)
     addresses = Addresses(lambda: daemon.interface, own=own)
     if link_domain is not None:
         runtime.prepare_environment(runtime.DAEMON_PROFILE)
@@ -164,7 +167,7 @@ def run_daemon(*, config_path: Path, log_level: str, estimator: Oracle | None = 
             daemon,
             signals,
             notifier,
-            load=lambda: load(config_path),
+            load=lambda: load(config_path)[0],
             fault=lambda: web.fault,
             is_cut_off=addresses.are_outdated,
             resting=resting,
