@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from arpd.model.price import Price
 
 _FOREVER, _POLL_S = Duration(seconds=-1), 0.005
+_OF_LEASE = 0.25  # after which a publisher asserts its liveliness
 _LATCHED = "is TRANSIENT_LOCAL: a new writer would lack what late joiners need"
 
 
@@ -109,6 +110,7 @@ class AdaptivePublisher:
             raise
         self.qos_profile = overridden(node, self.topic_name, own, qos_overriding_options)
         self._requests = Requests(node, self.topic_name)
+        self._clock = clock
         self._node = node
         self._callback_group = callback_group
         self._event_callbacks = event_callbacks
@@ -127,7 +129,10 @@ class AdaptivePublisher:
         )
         self.qos_profile = copy(self._flow.swap.current.publisher.qos_profile)  # with the other overrides
         self._overrides = None
-        self._is_manual = self.qos_profile.liveliness == QoSLivelinessPolicy.MANUAL_BY_TOPIC
+        is_manual = self.qos_profile.liveliness == QoSLivelinessPolicy.MANUAL_BY_TOPIC
+        lease_ns = period_ns(self.qos_profile.liveliness_lease_duration)
+        self._assert_every_s = lease_ns * _OF_LEASE / 1e9 if is_manual and lease_ns else math.inf
+        self._asserted_s = -math.inf
         if lifespan_ns := period_ns(self.qos_profile.lifespan):
             self._flow.lane.lifespan_s = lifespan_ns / 1e9
         self._keeps_all = self.qos_profile.history == QoSHistoryPolicy.KEEP_ALL
@@ -172,7 +177,8 @@ class AdaptivePublisher:
             If it is neither.
         """
         self._thread.publish(self._flow.lane, serialized(msg, self.msg_type))
-        if self._is_manual:  # a sample that waits, or is withheld, asserts nothing
+        if self._assert_every_s < math.inf and (now_s := self._clock()) - self._asserted_s >= self._assert_every_s:
+            self._asserted_s = now_s  # a sample that waits, or is withheld, asserts nothing
             self.assert_liveliness()
 
     def pass_on(self, msg: Any, source: Hashable = None) -> None:

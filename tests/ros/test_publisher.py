@@ -225,19 +225,20 @@ def test_a_wrong_name_is_refused_as_rclpy_refuses_it(node, topic):
     assert str(ours.value) == str(plain.value)
 
 
-def test_a_publisher_that_is_slowed_stays_alive(ros, node, eventually):
+def test_a_publisher_that_is_slowed_stays_alive(node, clock):
     """With MANUAL_BY_TOPIC what is published asserts its liveliness, though it waits or is withheld."""
     manual = QoSProfile(
         depth=1,
         liveliness=QoSLivelinessPolicy.MANUAL_BY_TOPIC,
         liveliness_lease_duration=Duration(seconds=LEASE_S),
     )
-    publisher, asserted = AdaptivePublisher(node, String, TOPIC, manual), []
+    publisher, asserted = AdaptivePublisher(node, String, TOPIC, manual, clock=clock), []
     publisher.retune(TopicPlan(rate_hz=0.01, min_rate_hz=0.0, deadline_ns=0, depth=1))
     publisher._flow.swap.current.publisher.assert_liveliness = lambda: asserted.append(None)
-    for number in "0123":
-        publisher.publish(String(data=number))
-    assert len(asserted) == 4
+    for part in (0.0, 0.1, 0.2, 0.01, 0.3):
+        clock.skip(part * LEASE_S)
+        publisher.publish(String())
+    assert len(asserted) == 3, "a quarter of a lease apart, because each is a packet"
 
 
 @pytest.mark.parametrize(
