@@ -28,6 +28,7 @@ _PROC_ROUTE = Path("/proc/net/route")  # the main table: a VPN that takes all tr
 _DISCARD_PORT = 9  # nothing is sent there
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "tx_dropped")
 _CHOOSE_S, _LOST_S = 1.0, 10.0
+_ADDRESS_S, _RENEWED_S = 1.0, 3.0  # between two looks at the addresses, and for one that comes back
 _UNKNOWN = MemoryState(total_bytes=0, available_bytes=0)  # so plan for little
 
 
@@ -175,7 +176,9 @@ class InterfaceReader:
         self._elsewhere_s = math.inf  # since when the route leads to another one
         self._chosen_s = -math.inf  # when another one was looked for
         self._addresses = addresses
-        self._own: frozenset[str] = frozenset()  # addresses of the interface that ``auto`` meant
+        self._own: frozenset[str] = frozenset()  # addresses that the interface had last
+        self._addressed_s = math.inf  # when it, or one in its place, had any last
+        self._looked_s = -math.inf
         self._raw: LinkCounters | None = None
         self._total: LinkCounters | None = None
         self.state = InterfaceState.GONE
@@ -186,12 +189,11 @@ class InterfaceReader:
         may_choose = self._may_choose or (self._is_auto and self._raw is None)
         if may_choose and (not self._was_up or now_s - self._chosen_s >= _CHOOSE_S):
             self._choose_again(now_s)
-        if (raw := self._read(self.name)) is None and self._own:
-            if heir := next((name for name, addresses in self._addresses().items() if addresses & self._own), None):
-                log.info("link.interface is auto: %s has the address of %s, so arpd uses it", heir, self.name)
-                self.name, raw = heir, self._read(heir)
-        elif raw is not None and self._is_auto and not self._own:
-            self._own = self._addresses().get(self.name, frozenset())
+        if (raw := self._read(self.name)) is None and self._is_auto and (heir := self._heir()):
+            log.info("link.interface is auto: %s has the address of %s, so arpd uses it", heir, self.name)
+            self.name, raw = heir, self._read(heir)
+        if raw is not None and raw.is_up and self._has_lost_address(now_s):
+            raw = replace(raw, state=InterfaceState.NO_ADDRESS)
         if raw is not None:
             # The first reading of an interface adds nothing, because its past traffic is not the link's.
             self._total = _continued(self._total or raw, self._raw or raw, raw)
@@ -204,6 +206,19 @@ class InterfaceReader:
         self.state = state_of(raw)
         return raw and self._total
 
+    def _heir(self) -> str:
+        """Return the interface that has an address of this one, which is gone; empty if there is none."""
+        every = self._addresses() if self._own else {}
+        return next((name for name, addresses in every.items() if addresses & self._own), "")
+
+    def _has_lost_address(self, now_s: float) -> bool:
+        if now_s - self._looked_s >= _ADDRESS_S or not self._own:
+            self._looked_s, every = now_s, self._addresses()
+            self._own = every.get(self.name) or self._own
+            if not every or any(self._own & each for each in every.values()):  # a bridge takes that of its port
+                self._addressed_s = now_s
+        return now_s - self._addressed_s >= _RENEWED_S and not (SYS_NET / self.name / "master").exists()
+
     def _choose_again(self, now_s: float) -> None:
         self._chosen_s = now_s
         route = self._route()
@@ -213,7 +228,7 @@ class InterfaceReader:
         is_lost = self._may_choose and now_s - min(self._away_s, self._elsewhere_s) >= _LOST_S
         if not self._was_up or is_lost or self._is_radio(chosen):
             log.info("link.interface is auto: arpd uses %s", chosen)
-            self.name, self._raw, self._own = chosen, None, frozenset()
+            self.name, self._raw, self._own, self._addressed_s = chosen, None, frozenset(), math.inf
 
 
 def _continued(total: LinkCounters, before: LinkCounters, now: LinkCounters) -> LinkCounters:

@@ -12,6 +12,7 @@ class InterfaceState(StrEnum):
     UP = "up"
     NO_CARRIER = "no_carrier"  # switched on, without a cable or an access point
     DOWN = "down"  # switched off
+    NO_ADDRESS = "no_address"  # it had one, which no interface has now
     GONE = "gone"  # no such interface, under this or another name
 
     @property
@@ -24,6 +25,7 @@ _FAULTS = {
     InterfaceState.UP: "",
     InterfaceState.NO_CARRIER: "has no carrier",
     InterfaceState.DOWN: "is switched off",
+    InterfaceState.NO_ADDRESS: "has lost its IPv4 address",
     InterfaceState.GONE: "is gone",
 }
 

@@ -117,7 +117,8 @@ def _since_s(snapshot: Snapshot, finding: Finding) -> float:
 def _found_in(snapshot: Snapshot) -> Iterator[Finding]:
     observation = snapshot.observation
     if where := observation.active_daemon:
-        remedy = f"each robot needs {'a relay.link_domain' if observation.relay else 'a ROS domain'} of its own"
+        domain = "a relay.link_domain" if observation.relay else "a ROS domain"
+        remedy = f"end it if it is this robot's, else give each robot {domain} of its own"
         yield Finding(Condition.STANDING_BY, f"another arpd daemon, on {where}, drives this robot; {remedy}")
     elif others := observation.other_daemons:
         yield Finding(Condition.SPARE_DAEMON, f"on {listed(others)}, in the same ROS domain")

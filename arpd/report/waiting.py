@@ -30,7 +30,9 @@ def first_plan(snapshot: Snapshot) -> str:
 def topics(snapshot: Snapshot) -> str:
     """Say why there is no topic to plan for, and the next step."""
     observation, settings = snapshot.observation, snapshot.settings
-    if observation.publishers:
+    # With two ends a topic of the other computer is read by the end here.
+    is_met = settings.relay.link_domain is None or (observation.relay and observation.relay.is_reachable)
+    if observation.publishers and is_met:
         names = listed(sorted({publisher.topic for publisher in observation.publishers}))
         return f"no node on the other side of the link reads {names}; start one there{_where(snapshot)}"
     if settings.relay.link_domain is not None:

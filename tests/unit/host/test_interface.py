@@ -206,6 +206,34 @@ def test_auto_follows_the_address_of_an_interface_that_is_gone(kernel, configure
     assert (reader.read() is None) == (configured == "wlan0")
 
 
+def test_an_interface_that_loses_its_address_carries_nothing(kernel):
+    """A lease that ran out: after three seconds it says so, until it has one again; a bridge may have taken it."""
+    addresses = {"wlan0": frozenset({"10.0.0.1"})}
+    reader = kernel.reader("wlan0", addresses=lambda: addresses)
+    kernel.put("wlan0")
+
+    def states(found):
+        addresses.clear()
+        addresses.update(found)
+        for _second in range(4):
+            kernel.now_s += 1.0
+            yield reader.read().state
+
+    assert {*states({"wlan0": frozenset({"10.0.0.2"})})} == {InterfaceState.UP}
+    assert {*states({"br0": frozenset({"10.0.0.2"})})} == {InterfaceState.UP}
+    up, no = InterfaceState.UP, InterfaceState.NO_ADDRESS
+    assert [*states({"lo": frozenset({"127.0.0.1"})})] == [up, up, no, no]
+    assert {*states({"wlan0": frozenset({"10.0.0.3"})})} == {up}
+    assert {*kernel_without_addresses(kernel)} == {up}, "one that never had any may be a bridge's"
+
+
+def kernel_without_addresses(kernel):
+    reader = kernel.reader("wlan0")
+    for _second in range(9):
+        kernel.now_s += 1.0
+        yield reader.read().state
+
+
 def test_an_interface_made_anew_goes_on_where_the_last_stood(kernel):
     """A radio that is plugged in again continues the totals without a jump, even if its counters are higher."""
     reader = kernel.reader("wlan0")
