@@ -14,8 +14,6 @@ EVERY_S = 1.0  # each end says that often that it lives
 REPLACED_S = 1.5  # one sign of life missed, and another process speaks for the end
 _SILENT_S = 3.5  # three of them missed
 _GONE_S = 30.0  # an outage of a Wi-Fi link mostly takes less
-_SUCCEED_S = 10.0  # until the other end follows one that has restarted
-_HOST = 8  # digits of a GUID that name its vendor and its host
 
 
 class Partner:
@@ -24,17 +22,16 @@ class Partner:
     A killed end returns as a new session. Two ends that run at the same time are two sessions that both speak: the
     first one stays in force, the other one is named. None follows an end that follows another host's: of two robots in
     one link domain, the second would obey what is meant for the first, and a second base computer would be sent all
-    topics, while nobody hears its commands. An end that restarts follows at once one that follows its predecessor,
-    which was on this host; a second one there, while the first one lives, follows nobody, and so doubles nothing.
+    topics, while nobody hears its commands. So an end that restarts waits until the other one has missed its
+    predecessor; a second one on a host, while the first one lives, follows nobody, and doubles nothing.
 
     Parameters
     ----------
-    own : how the GUIDs of this end begin, in hexadecimal digits, the first of which name its host
+    own : how the GUIDs of this end begin, in hexadecimal digits
     """
 
     def __init__(self, *, own: str) -> None:
         self._own = own
-        self._begun_s = math.inf  # when it heard of another end first
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
@@ -43,7 +40,6 @@ class Partner:
         """Take a state, which is a sign of life, too."""
         self._states[state.session] = state
         self._heard_s[state.session] = now_s
-        self._begun_s = min(self._begun_s, now_s)
 
     def hear(self, session: int, now_s: float) -> None:
         """Take a sign of life; one before the first state says nothing."""
@@ -78,15 +74,13 @@ class Partner:
 
     def elsewhere(self, now_s: float) -> list[str]:
         """Name the hosts of sessions that speak and follow another end than this one."""
-        return self._hosts(now_s, lambda state: not self._is_free(state, now_s))
+        return self._hosts(now_s, lambda state: not self._is_free(state))
 
     def _hosts(self, now_s: float, is_meant: Callable[[EndState], bool]) -> list[str]:
         speaking = (state for session, state in self._states.items() if self._is_heard(session, now_s, REPLACED_S))
         return sorted(state.host for state in speaking if is_meant(state))
 
-    def _is_free(self, state: EndState, now_s: float) -> bool:
-        if now_s - self._begun_s < _SUCCEED_S and state.follows.startswith(self._own[:_HOST]):
-            return True
+    def _is_free(self, state: EndState) -> bool:
         return state.follows in {"", self._own}
 
     def _is_heard(self, session: int, now_s: float, within_s: float) -> bool:
@@ -94,4 +88,4 @@ class Partner:
 
     def _spoke(self, session: int, now_s: float, within_s: float) -> bool:
         """Return whether it spoke lately, and may be followed."""
-        return self._is_heard(session, now_s, within_s) and self._is_free(self._states[session], now_s)
+        return self._is_heard(session, now_s, within_s) and self._is_free(self._states[session])

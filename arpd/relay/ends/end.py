@@ -51,7 +51,7 @@ _PARTICIPANT = 24  # digits of a GUID that name its process
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 _ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_OWN_DOMAIN = "give each robot a relay.link_domain of its own"
+_OWN_DOMAIN = "give each robot a relay.link_domain of its own, and run one arpd relay on it"
 #: In the place of a state while there is no other end.
 NOBODY = EndState(session=0)
 

@@ -56,11 +56,11 @@ def test_an_outage_is_bridged_and_a_long_silence_is_the_end():
 
 
 def test_a_second_end_on_a_host_follows_nobody_while_the_first_one_lives():
-    """Else each sample would arrive there twice; an end that restarts follows at once, as its predecessor did."""
+    """Else each sample would arrive there twice; one that restarts follows when the other end has missed the first."""
     partner = Partner(own=OWN)
-    partner.tell(busy := replace(ONE, follows=PREDECESSOR), 100.0)
-    assert in_force(partner, ONE, from_s=100.0, to_s=109.0) is busy
-    assert in_force(partner, ONE, from_s=109.0, to_s=120.0) is None
+    partner.tell(replace(ONE, follows=PREDECESSOR), 100.0)
+    assert partner.look(100.0) is None
+    assert in_force(partner, ONE, from_s=100.0, to_s=120.0) is None
     assert partner.elsewhere(120.0) == ["one"]
     partner.tell(free := replace(ONE, follows=""), 121.0)
     assert partner.look(121.0) is free
