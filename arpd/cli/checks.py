@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from arpd import __version__
 from arpd.cli.no_daemon import failure
 from arpd.host import kernel, radio
-from arpd.host.interface import SYS_NET, interface_to, ipv4_addresses, read_number
+from arpd.host.interface import interface_to, ipv4_addresses, is_port, read_number
 from arpd.model.errors import NotKnownError
 from arpd.model.quantities import format_duration, format_number, format_share, format_size, printable
 from arpd.model.wire import MOST_PACKET_BYTES, MTU_BYTES
@@ -169,7 +169,7 @@ def address(here: Here) -> Finding:
         )
     if addresses := ipv4_addresses().get(interface):
         return fine(f"{interface} has {listed(sorted(addresses))}")
-    if (SYS_NET / interface / "master").exists():
+    if is_port(interface):
         return fine(f"{interface} is a port of another interface, which has the address")
     return wrong(
         f"{interface} has no IPv4 address, so nothing of arpd or of nodes with UDPv4 crosses it",

@@ -92,6 +92,11 @@ def is_radio(name: str) -> bool:
     return os.access(SYS_NET / name / "wireless", os.F_OK)  # `Path.exists` raises where a sandbox hides /sys
 
 
+def is_port(name: str) -> bool:
+    """Return whether an interface is a port of a bridge, which then has its address."""
+    return os.access(SYS_NET / name / "master", os.F_OK)  # as above
+
+
 def running_radios() -> list[str]:
     """Return the radios that have a carrier."""
     return [
@@ -217,7 +222,7 @@ class InterfaceReader:
             self._own = every.get(self.name) or self._own
             if not every or any(self._own & each for each in every.values()):  # a bridge takes that of its port
                 self._addressed_s = now_s
-        return now_s - self._addressed_s >= _RENEWED_S and not (SYS_NET / self.name / "master").exists()
+        return now_s - self._addressed_s >= _RENEWED_S and not is_port(self.name)
 
     def _choose_again(self, now_s: float) -> None:
         self._chosen_s = now_s

@@ -9,6 +9,7 @@ import pytest
 
 from arpd import __version__
 from arpd.cli import checks
+from arpd.host import interface
 from arpd.host.discovery import Announcer, HeardDiscovery
 from arpd.host.services import ServiceState
 from arpd.model.errors import NotKnownError
@@ -248,7 +249,7 @@ def test_each_fault_of_a_radio_has_its_remedy(monkeypatch, about, told, remedy):
 def test_a_link_needs_an_address_unless_a_bridge_has_it(monkeypatch, tmp_path):
     """A radio that has joined its network and got no address carries nothing of DDS."""
     monkeypatch.setattr(checks, "ipv4_addresses", lambda: {"eth0": frozenset({"10.0.0.1"})})
-    monkeypatch.setattr(checks, "SYS_NET", tmp_path)
+    monkeypatch.setattr(interface, "SYS_NET", tmp_path)
     (tmp_path / "wlan1/master").mkdir(parents=True)
     names = ("eth0", "wlan0", "wlan1")
     judged = {name: health(checks.address, Namespace(interface=name, own_end=None)) for name in names}
