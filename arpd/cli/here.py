@@ -37,7 +37,7 @@ class Here:
         states = service_states(*OF_ARPD)
         self.units = {name: unit for name, unit in states.items() if unit.is_installed} if states else None
         self.is_far = options.far or self._is_remote or bool(used_on_base(states))
-        self.settings = Settings()
+        self.settings, self._folder = Settings(), DEFAULT_CONFIG.parent
         #: Of each file; None where it is missing, or this user may not read it.
         self.faults: dict[Path, list[str] | None] = {}
         self._read_configuration()
@@ -88,7 +88,8 @@ class Here:
         """Return the faults of a file, and keep the settings of one that has values; raise where its name is a typo."""
         interfaces = None if self.is_far else list_interfaces
         try:
-            self.settings = load_settings(path, interfaces=interfaces, local_domain=domain_of_units())
+            settings = load_settings(path, interfaces=interfaces, local_domain=domain_of_units())
+            self.settings, self._folder = settings, path.parent
             own_address(path, self.settings.relay.link(is_far=self.is_far), is_far=self.is_far)
         except ConfigError as error:
             if path is self._options.config and is_missing(path):
@@ -117,7 +118,7 @@ class Here:
         """Return what the daemon speaks, as far as this user may read the web-config; the key is for arpd alone."""
         if web_config := self.settings.http.web_config:
             with suppress(ConfigError):
-                if "tls_server_config" in YamlSource([*self.faults][-1].parent / web_config).data:
+                if "tls_server_config" in YamlSource(self._folder / web_config).data:
                     return "https"
         return "http"
 

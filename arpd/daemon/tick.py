@@ -283,15 +283,13 @@ class Daemon:
         -------
         Number of publishers that did not confirm in time, None where another daemon drives them.
         """
-        generation, missing = self._governor.plan.generation + 1, 0
-        self._observe(self._clock())
+        missing, seen = 0, self._observe(self._clock())
         while self._clock() - self._began_s < _HEAR_S:
             # Endpoints with a predecessor's plan, or the active daemon, may not have been heard yet.
             wait(TICK_S)
-            self._observe(self._clock())
-        begun_s = self._clock()
-        seen = self._observe(begun_s)
-        generation = min(MOST_GENERATION, max([generation, *(each.generation for each in seen.publishers)]))
+            seen = self._observe(self._clock())
+        begun_s, next_one = self._clock(), self._governor.plan.generation + 1
+        generation = min(MOST_GENERATION, max([next_one, *(each.generation for each in seen.publishers)]))
         for is_paced, until_s in ((True, _RESTORE_S), (False, _RESTORE_S + _UNPACE_S)):
             while True:
                 seen = self._observe(self._clock())

@@ -140,7 +140,7 @@ class AdaptivePublisher:
         self._lasting_refusal = NO_REFUSAL  # why the writer is never replaced
         if words := current_rmw().refusal:
             self._lasting_refusal = Refusal(RefusalReason.MIDDLEWARE, words)
-        elif self.qos_profile.durability != QoSDurabilityPolicy.VOLATILE:  # Fast DDS makes a default a TRANSIENT_LOCAL
+        elif self.qos_profile.durability != QoSDurabilityPolicy.VOLATILE:  # Fast DDS' default is TRANSIENT_LOCAL
             self._lasting_refusal = Refusal(RefusalReason.TRANSIENT_LOCAL, f"{self.topic_name} {_LATCHED}")
         self._refusal = NO_REFUSAL
         self._refusals = 0  # readers that refused and that a warning named

@@ -143,8 +143,8 @@ def decode_snapshot(data: bytes) -> NodeSnapshot:
         "lacks_profile": told.lacks_profile,
     }
     rows = _rows({name: values for name, values in vars(told.publishers).items() if values}, common)
-    common = {name: getattr(told, name) for name in ("node", "answer", "left_out", "relay", "host")}
-    return NodeSnapshot(**common, publishers=rows)
+    of_node = {name: getattr(told, name) for name in ("node", "answer", "left_out", "relay", "host")}
+    return NodeSnapshot(**of_node, publishers=rows)
 
 
 def _rows(columns: dict[str, list[Any]], common: dict[str, Any]) -> list[dict[str, Any]]:

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _LOOK_AROUND_S, _HOST_S = 0.2, 1.0  # between two looks at the graph, and at memory and radio
 _JOIN_S_PER_PUBLISHER = 1e-3  # between two lists of all endpoints: of a thousand, some change at any moment
-_ASKS_S = 5.0  # pings come every second at most; none while the capacity is pinned
 _MOST_SNAPSHOTS = 1000  # waiting for a tick
 _LARGE = 4.0  # more messages that the largest snapshot counts for: it comes once a second, and takes long to read
 
@@ -124,7 +123,6 @@ class RosControl:
         # Hosts of endpoints that are this one: a node, or an end, may be older or younger than one of its addresses.
         self._here: frozenset[bytes] = frozenset()
         self._has_two_ends = has_two_ends
-        self._probed_s = -math.inf  # when the last probe left
         self._began_s = time.monotonic()
         # The tick must stay short, and so must the reading of messages.
         threading.Thread(target=self._look_around, name="arpd-looking", daemon=True).start()
@@ -188,8 +186,8 @@ class RosControl:
 
     def probe(self, request: ProbeRequest) -> None:
         """Send one train, or a ping, back to back."""
-        head = ProbeHeader(self._reports.number(request.number), 0, request.packets, request.quiet_s)
-        size, self._probed_s = request.packet_bytes, time.monotonic()
+        number = self._reports.number(request.number, time.monotonic())
+        head, size = ProbeHeader(number, 0, request.packets, request.quiet_s), request.packet_bytes
         packets = [wrap(encode_probe(replace(head, index=k), payload_bytes=size)) for k in range(head.packets)]
         for packet in packets:
             self._probe_publisher.publish(packet)
@@ -211,9 +209,7 @@ class RosControl:
     def _on_report(self, sample: Sample, report: PeerReport) -> None:
         return_delay_s = (sample.received_ns - sample.sent_ns) / 1e9
         report = replace(report, received_at_s=time.monotonic(), return_delay_s=return_delay_s)
-        is_asking = time.monotonic() - self._probed_s < _ASKS_S
-        must_answer = is_asking and not self._daemons.active_daemon()
-        refusal = self._reports.note(report, must_answer=must_answer)
+        refusal = self._reports.note(report, must_answer=not self._daemons.active_daemon())
         if refusal is None:
             self._on_report_arrived()
         # A peer that starts has heard no probe yet, and one may answer a daemon that drove.

@@ -12,7 +12,7 @@ from arpd.host.interface import InterfaceReader
 from arpd.model.observation import MessageKind, MessageRefusal
 from arpd.model.probing import ProbeRequest
 from arpd.model.wire import probe_wire_bytes
-from arpd.ros import world as control
+from arpd.ros import peer_reports
 from arpd.ros.cdr import wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
@@ -119,7 +119,7 @@ def test_a_peer_that_has_heard_no_probe_yet_is_nothing_to_complain_of(ros, event
 
 def test_while_no_probe_leaves_a_peer_has_none_to_answer(ros, eventually, monkeypatch):
     """A peer may restart after a reload has pinned the capacity: its reports count, though it never hears a probe."""
-    monkeypatch.setattr(control, "_ASKS_S", 0.0)
+    monkeypatch.setattr(peer_reports, "_ASKS_S", 0.0)
     daemon, reports = Daemon(ros.node("daemon")), ros.node("peer").create_publisher(UInt8MultiArray, REPORT_TOPIC, 100)
     daemon.probe()
     report = wrap(encode_report(Receiver("base", 0.0).look(1.0, None)))

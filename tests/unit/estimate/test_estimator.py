@@ -228,7 +228,7 @@ def test_an_outage_or_a_queue_stops_the_trains(trouble):
 
 
 def test_where_a_reload_pins_the_capacity_one_lost_report_is_no_outage():
-    """No probe leaves any more, so reports come as seldom as a peer sends them by itself."""
+    """No probe asks for a report any more, so a peer sends few."""
     link = Link().measured()
     link.estimator.reconfigure(LinkSettings(capacity_bytes_per_second=FIRST))
     for _report in range(20):

@@ -38,7 +38,7 @@ class Daemon(PeerReports):
 
     def answer(self, probe=1, now_s=0.0, **fields):
         """Let a peer answer a probe of this number; return why it is refused, or what is believed."""
-        return self.hear(now_s, last_probe=self.number(probe), **fields)
+        return self.hear(now_s, last_probe=self.number(probe, now_s), **fields)
 
     def hear(self, now_s=0.0, *, must_answer=True, **fields):
         refusal = self.note(replace(REPORT, received_at_s=now_s, **fields), must_answer=must_answer)
@@ -49,18 +49,18 @@ class Daemon(PeerReports):
 def test_a_report_must_answer_a_probe_that_was_sent(base):
     """Only the number of a recent probe is an answer; it comes back as our own number."""
     daemon = Daemon(base)
-    wires = [daemon.number(probe) for probe in range(1, 4)]
+    wires = [daemon.number(probe, 0.0) for probe in range(1, 4)]
     assert daemon.answer(3).last_probe == 3
     for guess in {0, (base + 4) % 2**32, base, (base - 5) % 2**32, 4711} - {wire for wire in wires if wire}:
         assert daemon.hear(last_probe=guess) is MessageRefusal.UNANSWERED
-    daemon.number(5000)
+    daemon.number(5000, 0.0)
     assert daemon.hear(last_probe=wires[-1]) is MessageRefusal.UNANSWERED  # too old
 
 
 def test_who_stands_by_takes_reports_that_answer_another_daemon():
     """They are neither refused nor answers to its own last probe."""
     daemon = Daemon(9)
-    daemon.number(7)
+    daemon.number(7, 0.0)
     assert daemon.hear(last_probe=4711) is MessageRefusal.UNANSWERED
     assert daemon.hear(last_probe=4711, must_answer=False).last_probe == 0
 
