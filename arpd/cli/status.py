@@ -21,11 +21,11 @@ _WRONG = ", ".join(dict.fromkeys(["Not ready", *(each.headline for each in Condi
 _TEXT = f"""\
 Ask a running daemon for its last tick: whether all is well; capacity, queue and the allowed part of the traffic above
 the minimum rates, with their last ten minutes; the budget of the topics; the plan and its reason; the topics (first
-refusals, then those that give up most) with the rate that each publisher is allowed, the one that it sends, the DEPTH
-and DEADLINE that it announces (`now→planned` where the two differ) and the share of messages that it has withheld since
-it began; the last lines of the decision log. With two ends of a relay topics send more than they are allowed while the
-link takes it. `arpd top` shows the same live. A pipe gets everything as wide as it is, or as COLUMNS says; NO_COLOR
-takes the colours away.
+refusals, then those that give up most) with the rate that each publisher is allowed, the one that it sends and that of
+its source, the DEPTH and DEADLINE that it announces (`now→planned` where the two differ), the share of messages that it
+has withheld since it began, how many deadlines it has missed, and what bounds it or why it refuses; the last lines of
+the decision log. With two ends of a relay topics send more than they are allowed while the link takes it. `arpd top`
+shows the same live. A pipe gets everything as wide as it is, or as COLUMNS says; NO_COLOR takes the colours away.
 
 examples:
   arpd status

@@ -19,7 +19,7 @@ from arpd.host.config.load import load_settings, local_domain
 from arpd.host.kernel import link_interface
 from arpd.model.errors import ArpdError, UsageError
 from arpd.model.kinds import NONE, address
-from arpd.model.names import is_hidden, is_internal
+from arpd.model.names import compile_patterns, is_hidden, is_internal
 from arpd.model.quantities import format_number, format_payload, format_rate, printable
 from arpd.model.settings import RelaySettings, Settings
 from arpd.report.first_guess import first_guess
@@ -95,7 +95,7 @@ def _list_topics(options: argparse.Namespace) -> int:
         _suggest(found, options, settings)
     else:
         show(_table(found.topics))
-        print("\n".join(["", *_summary(found)]))
+        print("\n".join(["", *_summary(found, settings)]))
     if found.cannot_tell_hosts and not options.json:
         _remark(found.cannot_tell_hosts)
     return 0
@@ -173,7 +173,7 @@ def _table(topics: Sequence[LinkTopic]) -> Table:
     return fitted([titles, *rows], ranks=[0, 3, 0, 1, 0, 0, 4, 0], words={"TYPE", "LINK", "FROM, TO"})
 
 
-def _summary(found: TopicList) -> list[str]:
+def _summary(found: TopicList, settings: Settings) -> list[str]:
     measured = [topic for topic in found.topics if topic.traffic is not None]
     crossing = [topic for topic in measured if topic.is_crossing]
     unknown = len(found.topics) - len(measured)
@@ -190,6 +190,10 @@ def _summary(found: TopicList) -> list[str]:
             "No topic seems to be published on this host. A node that is older than an address of this host counts as",
             "one beyond: restart it, or set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST here.",
         ]
+    names = {name for topic in found.topics for name in (topic.name, topic.relayed_as)}
+    configured = (*settings.relay.topic_names, *(topic.name for topic in settings.topics))
+    if absent := [each for each in configured if not any(map(compile_patterns([each]).fullmatch, names))]:
+        lines.append(f"The configuration names {listed(absent)}; no topic here is called so")
     return [*lines, "`arpd topics --suggest > arpd.yaml` writes a first configuration from this"]
 
 

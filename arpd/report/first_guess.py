@@ -213,7 +213,7 @@ def _remarks(topic: LinkTopic) -> Iterator[str]:
     else:
         yield "no message arrived meanwhile"
     if topic.is_crossing:
-        yield "crosses the link now"
+        yield "crosses the link now, which may slow it"
 
 
 def _is_flood(topic: LinkTopic) -> bool:

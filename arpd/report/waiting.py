@@ -71,7 +71,7 @@ def peer(snapshot: Snapshot) -> str:
         return ""
     without = _WITHOUT_PEER[snapshot.link.kind]  # without its number, which would change systemd's line too often
     if observation.peer_ages_s:
-        return f"{listed([*observation.peer_ages_s])} reports no more, so {without}"
+        return f"{listed([*observation.peer_ages_s])} reports no more, so {without}; see journalctl -u arpd-peer there"
     if observation.peers:
         many = "a peer is" if observation.peers == 1 else f"{observation.peers} peers are"
         if observation.refused.get((MessageKind.REPORTS, MessageRefusal.MALFORMED)):
@@ -98,7 +98,8 @@ def _of_two_ends(relay: RelaySummary | None) -> str:
     if wanted:
         return f"the relay begins to carry {count(wanted, 'topic')}"
     if offered:
-        could = f"the relay could carry {count(offered, 'topic')}, and no node on the other side reads one"
+        beside = " beside those that it refuses" if relay.to_base.refused or relay.to_robot.refused else ""
+        could = f"the relay could carry {count(offered, 'topic')}{beside}, and no node on the other side reads one"
         return f"{could}; start a reader there{_ENVIRONMENT}; {_LIST}"
     return f"the relay finds no topic on either side; start your nodes{_ENVIRONMENT}"
 

@@ -90,3 +90,10 @@ def test_the_configuration_in_force_names_the_relayed_topics(run, robot, tmp_pat
     if text is not None:
         (tmp_path / "installed.yaml").write_text(text)
     assert (run("topics")[0], survey.call_args.kwargs["prefix"]) == (0, prefix)
+
+
+def test_a_name_of_the_configuration_that_no_topic_has_is_named(run, robot, tmp_path):
+    """A name that is misspelt would else be told nowhere."""
+    robot()
+    (tmp_path / "installed.yaml").write_text("topics: [{name: /imu}, {name: '/**/imu'}, {name: /cmd_vell}]\n")
+    assert "The configuration names /cmd_vell; no topic" in run("topics")[1]
