@@ -29,6 +29,7 @@ class Traffic:
     payload_bytes : serialized size of a sample, > 0 (bytes)
     source_rate_hz : rate at which the application publishes, 0 = silent (Hz)
     copies : times that each sample crosses the link: once per remote reader of each publisher
+    parts : payload (bytes), rate (Hz) and copies of each publisher; empty = there is one
     is_command : whether it goes to the robot
     """
 
@@ -36,6 +37,7 @@ class Traffic:
     payload_bytes: float
     source_rate_hz: float
     copies: int = 1
+    parts: tuple[tuple[float, float, int], ...] = ()
     is_command: bool = False
 
 
@@ -56,6 +58,7 @@ def measured_traffic(publishers: Iterable[PublisherState]) -> tuple[Traffic, ...
             payload_bytes=max(publisher.payload_bytes for publisher in publishers),
             source_rate_hz=max(publisher.source_rate_hz for publisher in publishers),
             copies=sum(publisher.copies for publisher in publishers),
+            parts=tuple((each.payload_bytes, each.source_rate_hz, each.copies) for each in publishers),
             is_command=all(publisher.direction is Direction.ACTUATION for publisher in publishers),
         )
         for name, publishers in by_topic.items()
@@ -89,12 +92,11 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
     desired_hz = desired_hz or (default_hz if own_hz is None else own_hz)
     # A floor never exceeds what the source publishes.
     floor_hz = min((default_hz if is_asked else 0.0) if own_hz is None else own_hz, desired_hz)
-    # At a lower rate fewer samples share a heartbeat; the headroom covers that.
-    size, packets = wire_size(traffic.payload_bytes, rate_hz=desired_hz)
+    wire_bytes, packets = _wire_size(traffic, desired_hz)
     return Topic(
         name=traffic.topic,
-        wire_bytes=size * traffic.copies,
-        packets=packets * traffic.copies,
+        wire_bytes=wire_bytes,
+        packets=packets,
         desired_rate_hz=desired_hz,
         min_rate_hz=floor_hz,
         weight=preferences.weight,
@@ -104,3 +106,17 @@ def _row(traffic: Traffic, settings: Settings) -> Topic:
         # Measured on Fast DDS 2.14 (docs/design.md, DDS facts): 0.7 kB a slot and about 1.3 times the payload.
         slot_bytes=700.0 + 1.3 * traffic.payload_bytes,
     )
+
+
+def _wire_size(traffic: Traffic, rate_hz: float) -> tuple[float, int]:
+    """Return bytes and packets on the link for a sample of the fastest publisher, with what the others send meanwhile.
+
+    At a lower rate fewer samples share a heartbeat, and a slow publisher is thinned later; the headroom covers that.
+    """
+    is_silent, wire_bytes, packets = traffic.source_rate_hz == 0.0, 0.0, 0.0
+    for payload_bytes, source_hz, copies in traffic.parts or ((traffic.payload_bytes, rate_hz, traffic.copies),):
+        share = 1.0 if is_silent else min(1.0, source_hz / rate_hz)
+        size, count = wire_size(payload_bytes, rate_hz=share * rate_hz)
+        wire_bytes += share * copies * size
+        packets += share * copies * count
+    return wire_bytes, max(1, round(packets))

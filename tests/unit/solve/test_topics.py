@@ -70,14 +70,16 @@ def test_an_assumed_topic_makes_the_row_of_a_measured_one():
 
 
 def test_publishers_of_one_topic_share_a_row_that_costs_what_all_send():
-    """Each publisher sends a copy per remote reader, at least one; the largest payload and rate count."""
+    """Each publisher sends its own samples, a copy per remote reader, at least one; the largest rate counts."""
     publishers = [
-        driver(node="/a", remote_readers=2, payload_bytes=100.0, source_rate_hz=10.0),
+        driver(node="/a", remote_readers=2, payload_bytes=9000.0, source_rate_hz=10.0),
         driver(node="/b", remote_readers=0, payload_bytes=50.0, source_rate_hz=30.0),
+        driver(node="/silent", payload_bytes=5000.0, source_rate_hz=0.0),
     ]
     (row,) = rows_of_traffic(measured_traffic(publishers), Settings())
-    size, packets = wire_size(100.0, rate_hz=30.0)
-    assert (row.wire_bytes, row.packets, row.desired_rate_hz) == (3 * size, 3 * packets, 30.0)
+    (slow, few), (fast, many) = wire_size(9000.0, rate_hz=10.0), wire_size(50.0, rate_hz=30.0)
+    assert row.desired_rate_hz * row.wire_bytes == pytest.approx(2 * 10.0 * slow + 30.0 * fast)
+    assert (row.packets, row.desired_rate_hz) == (round(2 * few / 3 + many), 30.0)
 
 
 def test_local_and_unmeasured_topics_get_no_row():
