@@ -89,10 +89,14 @@ class Estimator:
         )
 
     def reconfigure(self, settings: LinkSettings) -> None:
-        """Take new settings; measurements stay."""
-        self._settings = settings
+        """Take new settings; measurements stay, but for those that another overhead of a packet made."""
+        has_other_overhead = settings.packet_overhead_s != self._settings.packet_overhead_s
+        self._settings, initial = settings, settings.initial_capacity_bytes_per_second
         if self._stated.kind is CapacityKind.CONFIGURED:
-            self._stated = Statement(settings.initial_capacity_bytes_per_second)
+            self._stated = Statement(initial)
+        elif has_other_overhead:
+            self._trains.clear()
+            self._stated = Statement(min(self._stated.capacity, initial))
         if self._is_pinned:
             self._forget_queue()
             self._asked.clear()

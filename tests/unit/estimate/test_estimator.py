@@ -414,3 +414,14 @@ def test_odd_evidence_makes_no_nonsense(ticks):
         assert 0.0 <= estimate.available_bytes_per_second <= estimate.capacity_bytes_per_second
         assert estimate.evidence
     assert len(link.probes) <= 2 * len(ticks)
+
+
+def test_another_overhead_of_a_packet_leaves_no_capacity_that_the_one_before_made():
+    """Where a reload takes a packet overhead back, by which trains read fast, the link is measured anew."""
+    link = Link().measured()
+    link.estimator.reconfigure(LinkSettings(initial_capacity_bytes_per_second=FIRST, packet_overhead_s=0.0005))
+    link.ticks(3, trains=[FIRST])
+    assert link.ticks(3).capacity_bytes_per_second > 1.5 * FIRST
+    link.estimator.reconfigure(LinkSettings(initial_capacity_bytes_per_second=FIRST))
+    assert link.tick().capacity_bytes_per_second < 1.1 * FIRST
+    assert link.ticks(3, trains=[FIRST]).capacity_bytes_per_second == about(FIRST)
