@@ -31,7 +31,7 @@ class TwoEnds:
         self._stack = self.nodes = stack
         self._domains = dict(zip(("robot", "base", "link"), (*domains, LINK), strict=True))
         self.config = folder / "arpd.yaml"
-        lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", *(f"  {line}" for line in relay)]
+        lines = [f"  link_domain: {LINK}", "  robot: 127.0.0.1", "  base: 127.0.0.1", *(f"  {line}" for line in relay)]
         self.config.write_text("relay:\n" + "\n".join(lines) + "\n")
         self.processes = {}
         self.status = {"robot": "", "base": ""}

@@ -142,7 +142,7 @@ def test_the_daemon_knows_the_peers_clock(daemon, eventually):
 def test_a_peer_of_a_relay_with_two_ends_lives_in_the_link_domain(ros, arpd, eventually, tmp_path):
     """The peer joins `relay.link_domain`, and not the domain of its environment."""
     config, node = tmp_path / "arpd.yaml", ros.node("daemon")
-    config.write_text(f"relay: {{link_domain: {DOMAIN}, robot: 127.0.0.1}}")
+    config.write_text(f"relay: {{link_domain: {DOMAIN}, robot: 127.0.0.1, base: 127.0.0.1}}")
     peer = arpd("peer", "--interface", "lo", "--config", config, ROS_DOMAIN_ID=str(DOMAIN + 1))
     eventually("the peer is in the link's domain", lambda: "arpd_peer" in node.get_node_names())
     peer.terminate()

@@ -60,7 +60,7 @@ def _bad_ends(source: YamlSource, relay: RelaySettings, local_domain: int | None
     if relay.robot is relay.base is None:
         wrong = "needs the address of one end, or nobody would find the other; give relay.robot or relay.base"
         yield source.fault(("relay", "link_domain"), wrong)
-    elif relay.robot and relay.base and robot_loops != base_loops:
+    elif robot_loops != base_loops:
         key, own = ("robot", relay.robot) if robot_loops else ("base", relay.base)
         yield source.fault(("relay", key), f"{own} is every computer's own; write the address on the link, or none")
     elif relay.robot == relay.base and not robot_loops:

@@ -213,6 +213,7 @@ ONE_FAULT = [
     ("relay: {robot: 10.0.0.1}", "1:16: relay.robot", "needs relay.link_domain"),
     ("relay: {link_domain: 77, robot: 10.0.0.1, base: 10.0.0.1}", "1:49: relay.base", "is relay.robot, too"),
     ("relay: {link_domain: 77, robot: 127.0.1.1, base: b}", "1:33: relay.robot", "127.0.1.1 is every computer's own"),
+    ("relay: {link_domain: 77, base: localhost}", "1:32: relay.base", "localhost is every computer's own"),
     ("relay: {link_domain: 77, robot: a, base: localhost}", "1:42: relay.base", "write the address on the link"),
     ("relay: {link_domain: 77, robot: 10.0.0.256}", "1:33: relay.robot", "not an address"),
     ("relay: {link_domain: 77, robot: a..local}", "1:33: relay.robot", "'a..local' is not an address; write"),
