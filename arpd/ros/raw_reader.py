@@ -170,7 +170,7 @@ class ReadingThread:
         with reader.handle:
             reader.notify(reader.handle.pointer, None, None)
         del self._readers[event]
-        if self._events.closed:
+        if self._events.closed or not self._thread.is_alive():  # a forked process shares the epoll with its parent
             os.close(event)
             return
         self._events.unregister(event)
