@@ -95,6 +95,7 @@ class Lane:
     ----------
     depth, large_depth : most small samples that wait of each source, and most large ones
     is_ordered : whether all sources wait in one line, ``depth`` samples long, until a plan says how long
+    least_depth : most samples of that line where a plan says fewer
     is_kept : whether the other end delivers its samples however old they are
     weight : without a plan
     patience_s : longest wait of large samples for a first plan, which a topic that stays on its host never gets (s)
@@ -115,19 +116,17 @@ class Lane:
         *,
         depth: int = 1,
         large_depth: int = 1,
+        least_depth: int = 1,
         is_ordered: bool = False,
         is_kept: bool = False,
         weight: float = 1.0,
         patience_s: float = math.inf,
         has_company: bool = False,
     ) -> None:
-        self.write = write
-        self.has_company = has_company
-        self._depth, self._large_depth = depth, large_depth
-        self._is_ordered = is_ordered
-        self.is_kept = is_kept
-        self._weight = weight
-        self._patience_s = patience_s
+        self.write, self.has_company = write, has_company
+        self._depth, self._large_depth, self._least_depth = depth, large_depth, least_depth
+        self._is_ordered, self.is_kept = is_ordered, is_kept
+        self._weight, self._patience_s = weight, patience_s
         self._begun_waiting_s = math.inf  # when its first sample came while a daemon was there
         self.claimant: int | None = None
         self.is_closing = self.may_be_freight = False
@@ -197,7 +196,7 @@ class Lane:
         self.rate_hz = allowed_hz = plan.rate_hz if price is None else price.rate_hz(plan)
         growing_hz = plan.rate_hz if price is None else price.growing_hz(plan)
         if self._is_ordered:
-            self._depth = self._large_depth = plan.depth
+            self._depth = self._large_depth = max(plan.depth, self._least_depth)
             cap_hz = max(plan.rate_hz, min(max(CATCH_UP * plan.rate_hz, growing_hz), plan.max_rate_hz))
             allowed_hz = allowed_hz if allowed_hz < plan.rate_hz else cap_hz
         else:

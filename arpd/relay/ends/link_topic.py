@@ -76,6 +76,7 @@ class LinkTopic(Carried):
         lane: dict[str, Any] = {"has_company": not members}  # a set of a group leaves alone: it is seldom small
         if topic in settings.queued:
             lane = {"depth": depth, "large_depth": depth, "is_ordered": True, "is_kept": True}
+            lane["least_depth"] = asked or 1  # the operator's, however few the plan allows
         elif is_latched:
             lane = {"depth": asked or _HISTORY, "large_depth": asked or 1, "is_kept": True}
         self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
