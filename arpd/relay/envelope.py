@@ -18,6 +18,7 @@ _RECORD = struct.Struct(f"<{_WRITER_BYTES}sIQ")
 #: What a chunk adds to the part of the message in it (bytes).
 CHUNK_HEADER_BYTES = ARRAY.size + _CHUNK.size
 MOST_MESSAGE_BYTES = 2**26
+_MOST_BEGUN = 256  # messages of one writer that lack their end: each costs time with every chunk
 WRAP = 2**32  # of the numbers and times in a chunk
 
 
@@ -106,7 +107,7 @@ class Assembly:
     """Puts the chunks of one writer on the link together: a message is whole, or it is not delivered.
 
     The chunks of each message come in their order; a lost one ends its message. Those of several topics come by turns.
-    Where more than the largest message lacks its end, what waited longest for a chunk gives way.
+    Where more than the largest message lacks its end, or 256 do, what waited longest for a chunk gives way.
     """
 
     def __init__(self) -> None:
@@ -129,6 +130,6 @@ class Assembly:
             self._ended = key
             return bytes(begun)
         self._begun[key] = begun
-        while sum(map(len, self._begun.values())) > MOST_MESSAGE_BYTES:
+        while len(self._begun) > _MOST_BEGUN or sum(map(len, self._begun.values())) > MOST_MESSAGE_BYTES:
             del self._begun[next(iter(self._begun))]
         return None
