@@ -280,9 +280,9 @@ class Lane:
         beyond = max(0.0, self.current.offset - _AT_ONCE_S * capacity) / len(self.current.message)
         return max(self._before_s + self._floor_s, self._begun_s) + beyond * self._floor_s
 
-    def is_sending(self, source: Hashable, now_s: float) -> bool:
-        """Return whether a message of this source is on its way, or was just now."""
-        if self.current is not None and self.current.source == source:
+    def has(self, source: Hashable, now_s: float) -> bool:
+        """Return whether a message of this source waits, is on its way, or was just now."""
+        if source in self._lines or (self.current is not None and self.current.source == source):
             return True
         return self._last[0] == source and now_s - self._last[1] < _JUST_S
 

@@ -23,7 +23,8 @@ MOST_CALLS = 1000  # that wait, that run, and whose outcomes are kept
 _MOST_OF_SERVICE = 500  # of those that wait: a server that hangs leaves room for the calls of others
 MOST_BYTES = 64_000_000  # of the requests that wait, and of the outcomes that are kept
 _MOST_MESSAGE = 250  # characters
-_HEADER = struct.Struct(">BIQ")  # kind, session that it is meant for, number
+# Kind, session that it is meant for, and number; by the first bytes `Assembly` tells one call from another.
+_HEADER = struct.Struct("<BIQ")
 _NUMBER_BYTES = 8
 
 

@@ -3,6 +3,7 @@
 import platform
 import signal
 import time
+from dataclasses import replace
 
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
@@ -11,8 +12,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
-from std_msgs.msg import UInt8MultiArray
+from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
@@ -21,8 +23,11 @@ from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient
 from arpd.relay.envelope import decode_chunk
 from arpd.ros.cdr import wrap
+from arpd.ros.names import PRICE_TOPIC
+from arpd.ros.price_message import encode_price
 from arpd.ros.raw_reader import ReadingThread
 from tests.ros.ends_world import RELIABLE, Stranger, listen
+from tests.ros.world import FREE
 
 
 class Doubler:
@@ -83,6 +88,29 @@ def test_calls_get_their_own_answers_and_delay_no_other(world, eventually):
     assert not waiting.done()
     camera.destroy_service(server)
     assert "arpd relay" in finished(eventually, waiting).status_message
+
+
+def test_a_small_call_waits_behind_no_large_one(world, eventually):
+    """While a request of a megabyte crosses a slow link, another service is called and answers."""
+    ends = world("services: [/**]", "call_timeout: 1h").start()
+    Doubler(ends.side("robot").node("calculator"))
+    camera = ends.side("robot").node("camera")
+    camera.create_service(SetCameraInfo, "/set_camera_info", lambda _request, response: response)
+    user, goals = ends.side("base").node("user"), listen(camera, "/goal", RELIABLE)
+    slow, fast = user.create_client(SetCameraInfo, "/set_camera_info"), user.create_client(BasicTypes, "/double")
+    eventually("both services cross", lambda: slow.service_is_ready() and fast.service_is_ready())
+    goal = user.create_publisher(String, "/goal", 1)  # by a topic an end learns the price
+    eventually("a topic crosses", lambda: goal.publish(String()) or goals)
+    daemon = ends.side("link").node("daemon")
+    prices = daemon.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
+    price = Float64MultiArray(data=encode_price(replace(FREE, capacity_bytes_per_second=250e3)))
+    daemon.create_timer(0.1, lambda: prices.publish(price))
+    eventually("both ends hear the price", lambda: prices.get_subscription_count() == 2)
+    large = slow.call_async(SetCameraInfo.Request(camera_info=CameraInfo(d=[0.0] * 125_000)))
+    time.sleep(1.0)
+    assert [doubled(fast, number, eventually) for number in (1, 2)] == [2, 4]
+    assert not large.done()
+    finished(eventually, large)
 
 
 def test_only_allowed_services_cross(world, eventually):

@@ -134,9 +134,10 @@ class End:
             linger_s=_LINGER_S,
             node_name=self._side.node_name,
         )
-        # A topic of weight 1 in the paced queue, of which none is dropped.
-        self._call_lane = Lane(calls.publish, is_kept=True)
-        self.link.add(self._call_lane)
+        # Two topics of weight 1 in the paced queue, of which none is dropped: a cancel waits behind no map.
+        self._small_calls, self._large_calls = Lane(calls.publish, is_kept=True), Lane(calls.publish, is_kept=True)
+        self.link.add(self._small_calls)
+        self.link.add(self._large_calls)
         self._calls = Calls(
             node,
             self._nodes,
@@ -275,10 +276,12 @@ class End:
     def _send_call(self, record: bytes, source: int) -> None:
         """Let a record wait for its turn, in the place of one of this source; a large one on its way is not repeated.
 
-        Calls repeat themselves once a second, and a large answer takes longer.
+        Calls repeat themselves once a second, and a large answer takes longer. A small record overtakes no large one of
+        its source, which it may take back.
         """
-        if len(record) <= SMALL_BYTES or not self.link.is_sending(self._call_lane, source):
-            self.link.offer(self._call_lane, record, source=source)
+        is_large, is_there = len(record) > SMALL_BYTES, self.link.has(self._large_calls, source)
+        if not (is_large and is_there):
+            self.link.offer(self._large_calls if is_large or is_there else self._small_calls, record, source=source)
 
     # -- status
 

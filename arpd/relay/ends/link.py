@@ -70,10 +70,10 @@ class LinkThread(WritingThread):
         self.partner_gids = ""
         self._state: bytes | None = None  # that waits; a newer one takes its place
 
-    def is_sending(self, lane: Lane, source: Hashable) -> bool:
-        """Return whether a message of this source is on its way, or was just now."""
+    def has(self, lane: Lane, source: Hashable) -> bool:
+        """Return whether a message of this source waits, is on its way, or was just now."""
         with self._changed:
-            return lane.is_sending(source, self._clock())
+            return lane.has(source, self._clock())
 
     def tell(self, state: bytes) -> None:
         """Write a state of the end, before all that waits."""

@@ -12,7 +12,7 @@ from arpd.relay.envelope import WRAP
 from arpd.ros.documents import MOST_INTEGER, pack, unpack
 from arpd.ros.names import checked_full_name
 
-VERSION = 9
+VERSION = 10
 _STRANGE = "its message is not understood"
 _MOST_BYTES = 4_000_000  # decoded; 200 topics take 60 kB
 T = TypeVar("T")

@@ -222,12 +222,21 @@ def test_what_has_expired_does_not_leave():
     assert lane.withheld.total() == 2
 
 
-def test_what_is_on_its_way_or_was_just_now_is_known():
-    """A large answer is not sent again while it crosses, nor just after."""
+def test_what_waits_is_on_its_way_or_was_just_now_is_known():
+    """A large answer is not sent again while it waits or crosses, nor just after."""
     lane = make()
+    assert not lane.has("answer", 0.0)
     lane.offer(b"", 0.0, source="answer")
-    assert not lane.is_sending("answer", 0.0)
+    assert lane.has("answer", 0.0)
     lane.begin(0.0)
-    assert lane.is_sending("answer", 60.0)
+    assert lane.has("answer", 60.0)
     lane.ended(60.0)
-    assert [lane.is_sending("answer", at_s) for at_s in (61.0, 70.0)] == [True, False]
+    assert [lane.has("answer", at_s) for at_s in (61.0, 70.0)] == [True, False]
+
+
+def test_a_plan_of_fewer_samples_leaves_the_operators_queue_as_long_as_it_is():
+    """An ordered topic with a depth of its own loses nothing within it, whatever DEPTH the plan gives."""
+    lane = make(depth=2, is_ordered=True, least_depth=5)
+    for number in range(7):
+        lane.offer(b"%4d" % number, 0.0)
+    assert [number for _, number in leave_all(lane)] == [2, 3, 4, 5, 6]

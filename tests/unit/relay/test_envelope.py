@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from arpd.relay.calls import Kind
+from arpd.relay.calls import Record as CallRecord
 from arpd.relay.envelope import (
     MOST_MESSAGE_BYTES,
     WRAP,
@@ -136,3 +138,23 @@ def test_messages_that_cross_by_turns_are_put_together(lengths, random):
             [chunk for place in range(len(lengths)) for chunk in cut(messages[place], 9, session=7, number=place)[1:]],
         )
     )
+
+
+def test_a_small_call_crosses_beside_a_large_one():
+    """Each call is a writer of its own, so the record of one tears none of another under way."""
+    large, small = (CallRecord(Kind.REQUEST, 7, number, bytes(length)).encode() for number, length in ((1, 40), (2, 1)))
+    first, *rest = cut(large, 20, session=7, number=1)
+    assembly = Assembly()
+    assert assembly.add(first) is None
+    assert assembly.add(cut(small, 20, session=7, number=2)[0]) == small
+    assert [assembly.add(chunk) for chunk in rest][-1] == large
+
+
+def test_of_many_messages_that_never_end_the_oldest_give_way():
+    """An end that is sent the beginnings of many messages keeps some of them, and puts the next one together."""
+    message, assembly = bytes(40), Assembly()
+    begun = [cut(number.to_bytes(8, "big") + message, 20, session=7, number=number) for number in range(300)]
+    for chunks in begun:
+        assembly.add(chunks[0])
+    ended = [[assembly.add(chunk) for chunk in chunks[1:]][-1] is not None for chunks in begun]
+    assert ended == [False] * 44 + [True] * 256
