@@ -17,7 +17,6 @@ from arpd.endpoint.queue import PacedQueue
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.endpoints import MOST_PUBLISHERS, PublisherState, WriterQos
 from arpd.model.plan import NO_PLAN, PlanAnswer, TopicPlan
-from arpd.ros.attached import attached
 from arpd.ros.cdr import wrap
 from arpd.ros.graph import this_host
 from arpd.ros.inbox import PRICES, Inbox, Letters
@@ -25,7 +24,7 @@ from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.node_snapshot import encode_snapshot
 from arpd.ros.plan_message import MOST_BYTES, PLAN_QOS, PlanMessage, checked_row, decode_plan
 from arpd.ros.profile import missing_here, warn_once
-from arpd.ros.rcl import NO_EVENTS, InvalidHandle, NotedPublisher, is_live
+from arpd.ros.rcl import NO_EVENTS, InvalidHandle, NotedPublisher, attached, is_live
 from arpd.ros.rmw import current_rmw
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from arpd.ros.attached import attached
 from arpd.ros.graph import Endpoint, readers_of, writers_of
-from arpd.ros.rcl import InvalidHandle, rcl
+from arpd.ros.rcl import InvalidHandle, attached, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

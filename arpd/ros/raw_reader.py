@@ -28,9 +28,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.type_support import check_for_type_support
 
-from arpd.ros.attached import attached
 from arpd.ros.rate_limits import OncePerMinute
-from arpd.ros.rcl import InvalidHandle, MessageInfo, is_live, rcl
+from arpd.ros.rcl import InvalidHandle, MessageInfo, attached, is_live, rcl
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,12 +14,12 @@ from std_msgs.msg import UInt8MultiArray
 
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.model.price import Price
-from arpd.ros.attached import attached
 from arpd.ros.cdr import wrap
 from arpd.ros.documents import pack, unpack
 from arpd.ros.names import PLAN_TOPIC, PUBLISHERS_TOPIC
 from arpd.ros.nodes import Nodes
 from arpd.ros.plan_message import PLAN_QOS, encode_plan
+from arpd.ros.rcl import attached
 from arpd.ros.snapshot_decoder import decode_snapshot
 from scripts.bench.child import spinning
 
