@@ -13,8 +13,7 @@ from arpd.ros.names import LEAST_DEADLINE_NS, PUBLISHERS_TOPIC, REPORT_TOPIC, is
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-    from arpd.ros.graph import Endpoint
-    from arpd.ros.graph_view import GraphView
+    from arpd.ros.graph import Endpoint, GraphView
     from arpd.ros.rmw import Rmw
 
 _MOST_TOPICS = 3000  # so that a graph full of topics does not take the processor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from arpd.model.link_topics import LinkTopic
-from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
+from arpd.ros.graph import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_full_name
 from arpd.ros.runtime import PROFILE_VARIABLE, UDP_PROFILE
 

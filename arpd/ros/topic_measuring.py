@@ -14,8 +14,7 @@ from rclpy.qos import QoSProfile
 
 from arpd.model.link_topics import LinkTopic, TopicList, TopicTraffic
 from arpd.relay.ends.types import UnknownTypeError, message_class
-from arpd.ros.graph import policies_of
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView, policies_of
 from arpd.ros.link_topics import LinkGraph, cannot_tell_hosts
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.ros.rmw import current_rmw

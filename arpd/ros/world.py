@@ -22,8 +22,7 @@ from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
 from arpd.ros.cdr import wrap
 from arpd.ros.crossing import Graph, read_graph
-from arpd.ros.graph import Endpoint, this_host
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import Endpoint, GraphView, this_host
 from arpd.ros.inbox import Inbox, Letters
 from arpd.ros.names import PRICE_TOPIC, PROBE_TOPIC, PUBLISHERS_TOPIC, REPORT_TOPIC
 from arpd.ros.node_snapshot import LONGEST_SNAPSHOT

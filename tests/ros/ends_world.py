@@ -17,7 +17,7 @@ from arpd.relay.ends.offers import EndState, decode_state, encode_state
 from arpd.relay.envelope import WRAP, Chunk, encode_chunk
 from arpd.relay.flight import Sign, encode_sign
 from arpd.ros.cdr import wrap
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView
 from tests.ros.world import DOMAIN, REPO, Ros
 
 ROBOT, BASE, LINK = DOMAIN, DOMAIN + 1, DOMAIN + 2

@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from arpd import AdaptivePublisher
 from arpd.model.endpoints import RefusalReason, SwapTiming
 from arpd.ros import graph
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView
 from arpd.ros.rmw import Rmw, current_rmw
 from tests.ros.world import DOMAIN, REPO
 

@@ -16,7 +16,7 @@ from arpd.relay.calls import CallBook, CallFailure, CallId, FailureReason, Outco
 from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient, class_of, failed_response
 from arpd.relay.ends.types import UnknownTypeError
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView
 from arpd.ros.names import is_full_name
 from arpd.ros.rate_limits import OncePerMinute
 from arpd.ros.raw_reader import ReadingThread

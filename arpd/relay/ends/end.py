@@ -31,7 +31,7 @@ from arpd.relay.partner import Partner
 from arpd.relay.selection import Side
 from arpd.relay.status import MOST_NAMED, ONE_DOMAIN, status_line, topics_of
 from arpd.ros.cdr import octets
-from arpd.ros.graph_view import ON_EVERY_NODE, GraphView
+from arpd.ros.graph import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_arpds
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.ros.rcl import NO_EVENTS, Outlet

@@ -18,8 +18,7 @@ from arpd.relay.ends.link import LINK_DEPTH
 from arpd.relay.ends.outgoing import Carried
 from arpd.relay.envelope import Record, pack, writer_key
 from arpd.relay.sets import Sets
-from arpd.ros.graph import type_name_of
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView, type_name_of
 from arpd.ros.names import on_link
 from arpd.ros.raw_reader import Sample, is_late
 from arpd.ros.rcl import NO_EVENTS, Outlet

@@ -12,7 +12,7 @@ from arpd.relay.ends.offers import TopicOffer, WriterOffer
 from arpd.relay.ends.survey import Surveyed
 from arpd.relay.ends.topic_readers import TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
-from arpd.ros.graph_view import GraphView
+from arpd.ros.graph import GraphView
 from arpd.ros.names import is_full_name
 from arpd.ros.raw_reader import ReadingThread, Sample
 

@@ -12,8 +12,7 @@ from arpd.relay.ends.offers import WriterOffer
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from arpd.ros.graph import Endpoint
-    from arpd.ros.graph_view import GraphView
+    from arpd.ros.graph import Endpoint, GraphView
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left

@@ -9,8 +9,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.model.endpoints import Direction
 from arpd.ros.crossing import read_graph
-from arpd.ros.graph import Endpoint
-from arpd.ros.graph_view import ON_EVERY_NODE
+from arpd.ros.graph import ON_EVERY_NODE, Endpoint
 from arpd.ros.link_topics import LinkGraph, cannot_tell_hosts
 from arpd.ros.names import on_link
 from arpd.ros.rmw import Rmw
