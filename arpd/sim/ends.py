@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from arpd.sim.result import SimTopic, TopicResult
     from arpd.sim.timeline import Timeline
 
-_LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.relay.ends.link_topic
+_LINK_QOS = WriterQos(depth=400, deadline_ns=0)  # as arpd.relay.ends.link
 
 
 class SimulatedEnd(SimulatedThread):

@@ -22,8 +22,7 @@ from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link import LINK_QOS, FreightWriter, LinkReader, LinkThread, lasting_s
-from arpd.relay.ends.link_topic import LinkTopic
+from arpd.relay.ends.link import LINK_QOS, FreightWriter, LinkReader, LinkThread, LinkTopic, lasting_s
 from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.envelope import WRAP
