@@ -10,7 +10,7 @@ from std_msgs.msg import Empty, String
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.prefix import Prefixed
-from arpd.relay.ends.survey import Surveyed
+from arpd.relay.ends.topic_readers import Surveyed
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
 from tests.ros.ends_world import BEST_EFFORT, RELIABLE, Counter, is_whole, latched, listen, numbers

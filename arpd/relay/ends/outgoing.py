@@ -9,8 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from arpd.relay.ends.offers import TopicOffer, WriterOffer
-from arpd.relay.ends.survey import Surveyed
-from arpd.relay.ends.topic_readers import TopicReaders
+from arpd.relay.ends.topic_readers import Surveyed, TopicReaders
 from arpd.relay.ends.types import UnknownTypeError, message_class
 from arpd.ros.graph import GraphView
 from arpd.ros.names import is_full_name
