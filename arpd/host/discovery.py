@@ -1,7 +1,8 @@
-"""Listens to the multicast discovery of a ROS domain on one interface, without joining it."""
+"""Listens to the multicast discovery of a ROS domain, without joining it."""
 
 from __future__ import annotations
 
+import logging
 import re
 import socket
 import struct
@@ -20,6 +21,7 @@ from arpd.model.wire import ETHERNET_BYTES, IPV4_BYTES, MOST_DOMAIN, UDP_BYTES, 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+log = logging.getLogger(__name__)
 _GROUP = "239.255.0.1"  # of participant discovery (OMG DDSI-RTPS 2.3, 9.6.1)
 _GUID = slice(8, 20)  # first bytes of the sender's, in the header of every RTPS message
 _FIRST_SUBMESSAGE = 20
@@ -33,6 +35,7 @@ _IP_MULTICAST_ALL = 49  # linux/in.h
 _MOST_PARTICIPANTS = 1000
 _MOST_NAME = 60
 _HEADERS_BYTES = ETHERNET_BYTES + IPV4_BYTES + UDP_BYTES
+_FORGET_S = 60.0  # after a participant was heard last
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -276,3 +279,44 @@ def join_discovery(ear: socket.socket, index: int, *, is_gone: bool = False) -> 
 def participant_in(packet: bytes) -> bytes | None:
     """Return the first bytes of the GUIDs of the process that sent a packet, None if it is no message of RTPS."""
     return packet[_GUID] if packet[:4] == b"RTPS" and len(packet) >= _FIRST_SUBMESSAGE else None
+
+
+class AnnouncedParticipants:
+    """Hears the multicast discovery of the local domain, and remembers whose it is.
+
+    It hears this host's nodes, too. A participant of the other side that announces itself here has crossed the link
+    without the relay. An end confined to its host does not see it in its graph.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self._heard_s: dict[str, float] = {}
+        self._joined: set[int] = set()
+        self._socket: socket.socket | None = None
+        try:
+            self._socket = discovery_socket(domain_id)
+            self._socket.settimeout(0.0)
+        except OSError as error:
+            log.warning("cannot listen for nodes that cross the link on their own: %s", error)
+
+    def recent(self) -> Collection[str]:
+        """Return the first 12 bytes of the GUIDs of those heard in the last minute, in hexadecimal digits."""
+        if self._socket is None:
+            return ()
+        present = {index for index, _name in socket.if_nameindex()}
+        for index in present ^ self._joined:  # a radio or a container that returns has a new number
+            with suppress(OSError):  # down, or without an address
+                join_discovery(self._socket, index, is_gone=index in self._joined)
+                self._joined ^= {index}
+        now_s = time.monotonic()
+        with suppress(OSError):  # nothing more has come
+            for _ in range(_MOST_PARTICIPANTS):
+                if (participant := participant_in(self._socket.recv(64))) is not None:  # its header is enough
+                    self._heard_s[participant.hex()] = now_s
+        recent = {guid: heard_s for guid, heard_s in self._heard_s.items() if now_s - heard_s < _FORGET_S}
+        self._heard_s = recent if len(recent) <= _MOST_PARTICIPANTS else {}
+        return self._heard_s.keys()
+
+    def close(self) -> None:
+        """Listen no more."""
+        if self._socket is not None:
+            self._socket.close()

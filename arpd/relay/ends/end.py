@@ -17,8 +17,8 @@ from std_msgs.msg import UInt8MultiArray
 from arpd import __version__
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
+from arpd.host.discovery import AnnouncedParticipants
 from arpd.model.relay import RelaySummary
-from arpd.relay.ends.announced import AnnouncedParticipants
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming

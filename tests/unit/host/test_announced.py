@@ -2,9 +2,9 @@
 
 import socket
 
+from arpd.host import discovery
+from arpd.host.discovery import AnnouncedParticipants
 from arpd.model.wire import domain_port
-from arpd.relay.ends import announced
-from arpd.relay.ends.announced import AnnouncedParticipants
 
 DOMAIN = 97  # that no other test has
 GUID = bytes(range(12))
@@ -40,7 +40,7 @@ def test_interfaces_that_come_and_go_leave_room_for_the_next(monkeypatch, reques
         (joined.remove if is_gone else joined.add)(index)
 
     monkeypatch.setattr(socket, "if_nameindex", lambda: present)
-    monkeypatch.setattr(announced, "join_discovery", kernel)
+    monkeypatch.setattr(discovery, "join_discovery", kernel)
     heard = AnnouncedParticipants(DOMAIN)
     request.addfinalizer(heard.close)
     for index in range(2, 32):
