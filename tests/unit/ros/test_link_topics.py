@@ -10,9 +10,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from arpd.model.endpoints import Direction
 from arpd.ros.crossing import read_graph
 from arpd.ros.graph import ON_EVERY_NODE, Endpoint
-from arpd.ros.link_topics import LinkGraph, cannot_tell_hosts
 from arpd.ros.names import on_link
 from arpd.ros.rmw import Rmw
+from arpd.ros.topic_measuring import LinkGraph, cannot_tell_hosts
 
 OWN, ROBOT, RELAY, BEYOND = (bytes([place, 1, host, *[1] * 13]) for place, host in enumerate((1, 1, 1, 2)))
 LIDAR, PLANNER, GHOST = Endpoint(gid=ROBOT, node="/lidar"), Endpoint(gid=BEYOND, node="/planner"), Endpoint(gid=RELAY)

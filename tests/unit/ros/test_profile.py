@@ -5,7 +5,6 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from arpd.model.settings import LinkDomain
-from arpd.ros.link_topics import is_confined
 from arpd.ros.profile import missing_in_profile
 from arpd.ros.runtime import (
     DAEMON_PROFILE,
@@ -18,6 +17,7 @@ from arpd.ros.runtime import (
     prepare_environment,
     send_without_waiting,
 )
+from arpd.ros.topic_measuring import is_confined
 
 OURS = OWN_PROFILE, TWO_ENDED_PROFILE, DAEMON_PROFILE
 
