@@ -118,7 +118,6 @@ class Supervisor:
         self._heartbeat = Watchdog(notifier, parts=parts)
         self._reading: Future[Settings] | None = None
         self._is_ready = False
-        self._status = ""
         self._logged = OncePerMinute()
         self._is_failing = False  # as the log says
         self._said_counted = 0  # as in `Record`, when the status was last made
@@ -171,7 +170,7 @@ class Supervisor:
             self._is_failing = True
             log.error("a tick failed; the publishers keep their plan (logged once a minute)", exc_info=error)
         self._said_counted = -1
-        self._say(f"ticks fail ({failure}: {error}); the publishers keep their plan")
+        self._notifier.status(f"ticks fail ({failure}: {error}); the publishers keep their plan")
 
     def _note_success(self) -> None:
         if self._is_failing:
@@ -183,9 +182,6 @@ class Supervisor:
         self._heartbeat.beat()
         if (counted := self._daemon.record.counted) != self._said_counted:
             self._said_counted = counted
-            self._say("; ".join(part for part in (status_line(self._daemon.snapshot), self._fault()) if part))
-
-    def _say(self, status: str) -> None:
-        if status != self._status:
-            self._status = status
-            self._notifier.status(status)
+            self._notifier.status(
+                "; ".join(part for part in (status_line(self._daemon.snapshot), self._fault()) if part)
+            )

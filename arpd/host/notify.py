@@ -28,6 +28,7 @@ class Notifier:
         address = environ.get("NOTIFY_SOCKET", "")
         # "@name" stands for a socket in the abstract namespace, whose address starts with a zero byte.
         self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._status = ""  # as last set
 
     def ready(self) -> None:
         """Report the end of the start or of a reload."""
@@ -42,8 +43,10 @@ class Notifier:
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """Set the line that ``systemctl status`` shows."""
-        self._send("STATUS=" + " ".join(text.split()))  # a newline would start another assignment
+        """Set the line that ``systemctl status`` shows, if it is another one than before."""
+        if text != self._status:
+            self._status = text
+            self._send("STATUS=" + " ".join(text.split()))  # a newline would start another assignment
 
     def watchdog(self) -> None:
         """Report that the service works; call it only after finished work."""

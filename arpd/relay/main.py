@@ -108,7 +108,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         notifier.status(reason)
         serve(lambda: None, _IDLE_S)
     else:
-        with ros_node(name) as node, closing(Prefixed(node, relay, on_change=notifier.status)) as prefixed:
+        with ros_node(name) as node, closing(Prefixed(node, relay, tell=notifier.status)) as prefixed:
             serve(prefixed.look, _LOOK_S, prefixed.threads)
     return 0
 

@@ -102,17 +102,15 @@ class ProbeStatus:
     def __init__(self, task: Callable[[], str], *, tell: Callable[[str], None]) -> None:
         self._task, self._tell = task, tell
         self._seen = "no probes yet: arpd on the robot is not running, not reachable, or in another ROS domain"
-        self._has_probes, self._told = False, ""
+        self._has_probes = False
         self.update(-math.inf)
 
     def update(self, probed_s: float) -> None:
-        """Tell the line again if it has changed since the last probe (monotonic clock, s)."""
+        """Tell the line, by the time of the last probe (monotonic clock, s)."""
         if (has_probes := time.monotonic() - probed_s < _QUIET_S) != self._has_probes:
             self._has_probes = has_probes
             self._seen = f"{'probes arrive' if has_probes else 'no probes'} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        if (line := f"{self._task()}; {self._seen}") != self._told:
-            self._told = line
-            self._tell(line)
+        self._tell(f"{self._task()}; {self._seen}")
 
 
 def default_name(interface: str) -> str:

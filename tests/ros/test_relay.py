@@ -28,7 +28,7 @@ def carry(lines):
     with ExitStack() as stack:
 
         def start(node, settings):
-            relay = stack.enter_context(closing(Prefixed(node, settings, on_change=lines.append)))
+            relay = stack.enter_context(closing(Prefixed(node, settings, tell=lines.append)))
             stopping = threading.Event()
             looks = threading.Thread(target=look, args=(relay, stopping), daemon=True)
             stack.callback(looks.join)

@@ -88,7 +88,7 @@ def test_a_topic_of_large_samples_has_a_participant_of_its_own(ros, stack, monke
     heard = [listen(far, f"/link{topic}", 10, kind) for topic, kind in kinds.items()]
     node = ros.node("mixed")
     settings = RelaySettings(topics=(RelayTopic(name="/image"), RelayTopic(name="/chatter")))
-    relay = stack.enter_context(closing(Prefixed(node, settings, on_change=lambda _status: None)))
+    relay = stack.enter_context(closing(Prefixed(node, settings, tell=lambda _status: None)))
 
     def carriers():
         relay.look()

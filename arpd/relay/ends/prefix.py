@@ -98,22 +98,21 @@ class Prefixed(Outgoing):
     Parameters
     ----------
     node : looks at the graph and reads; nobody needs to spin it
-    on_change : called with the status line whenever it changes
+    tell : called with the status line at every look
 
     Attributes
     ----------
     threads : none may hang; there may be more later
     """
 
-    def __init__(self, node: Any, settings: RelaySettings, *, on_change: Callable[[str], None]) -> None:
-        self._participants, self._on_change = Participants(node), on_change
+    def __init__(self, node: Any, settings: RelaySettings, *, tell: Callable[[str], None]) -> None:
+        self._participants, self._tell = Participants(node), tell
         self._inputs = {str(node.resolve_topic_name(topic)): topic for topic in settings.topic_names}
         self._outputs = {topic: str(node.resolve_topic_name(settings.prefix + topic)) for topic in settings.topic_names}
         super().__init__(node, name_of=self._inputs.get, carry=self._republish, settings=settings, linger_s=_LINGER_S)
         self.threads = self._participants.threads
         self.threads.append(self.thread)
         self._named: dict[str, str] = {}  # refusals that the log has
-        self._status = ""
 
     def close(self) -> None:
         """Carry nothing any more."""
@@ -121,7 +120,7 @@ class Prefixed(Outgoing):
         self._participants.close()
 
     def look(self) -> None:
-        """Follow the graph, and tell the status if it has changed."""
+        """Follow the graph, and tell the status."""
         super().look()
         objections = {topic: words for topic in self._topics if (words := self._objection(topic))}
         self.forget(objections)
@@ -136,10 +135,7 @@ class Prefixed(Outgoing):
             if topic not in refused
         }
         silent = [topic for topic in self._outputs if topic not in refused and topic not in self.offers]
-        status = prefix_line(topics=len(self._outputs), silent=silent, refused=refused, ignored=ignored)
-        if status != self._status:
-            self._status = status
-            self._on_change(status)
+        self._tell(prefix_line(topics=len(self._outputs), silent=silent, refused=refused, ignored=ignored))
 
     def _objection(self, topic: str) -> str:
         """Return why a topic must not be carried, in words; empty if it may."""

@@ -8,13 +8,13 @@ import os
 import signal
 import threading
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import pytest
 
 from arpd.daemon.run import stop
 from arpd.daemon.supervisor import Signals, Supervisor
+from arpd.host import notify
 from arpd.model.settings import OnStop, Settings
 from tests.waiting import PATIENCE_S, eventually
 
@@ -32,14 +32,16 @@ def signals():
         signal.signal(number, handler)
 
 
-class Notifier:
+class Notifier(notify.Notifier):
     """A notifier that keeps its messages, in order."""
 
     def __init__(self):
+        super().__init__({})
         self.messages = []
-        self.status, self.count = self.messages.append, self.messages.count
-        self.ready, self.reloading = partial(self.status, "READY"), partial(self.status, "RELOADING")
-        self.watchdog = partial(self.status, "WATCHDOG")
+        self.count = self.messages.count
+
+    def _send(self, message):
+        self.messages.append(message.partition("\n")[0].removeprefix("STATUS=").removesuffix("=1"))
 
 
 class Daemon:
