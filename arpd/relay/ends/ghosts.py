@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -59,7 +60,20 @@ class GhostNodes:
     def give(self, name: str, make: Callable[[Node], T]) -> T:
         """Make an endpoint in the ghost of the node with this fully qualified name; for any thread."""
         with self._lock:
-            return make(self._of(name))
+            if name not in {"", self._node.get_fully_qualified_name(), *self._ghosts}:
+                namespace, _, base = name.rpartition("/")
+                # A foreign middleware may have names that rcl refuses.
+                with suppress(NameValidationException, RuntimeError):
+                    self._ghosts[name] = rclpy.create_node(
+                        base,
+                        namespace=namespace or "/",
+                        context=self._node.context,
+                        use_global_arguments=False,
+                        enable_rosout=False,
+                        start_parameter_services=False,
+                        parameter_overrides=[_NO_TYPE_DESCRIPTION],
+                    )
+            return make(self._ghosts.get(name, self._node))
 
     def tidy(self) -> None:
         """Destroy the ghosts that have no endpoint any more."""
@@ -67,25 +81,6 @@ class GhostNodes:
             for name, node in [*self._ghosts.items()]:
                 if len([*node.publishers, *node.services]) == 1:  # that of /parameter_events
                     self._ghosts.pop(name).destroy_node()
-
-    def _of(self, name: str) -> Node:
-        if name in {"", self._node.get_fully_qualified_name()}:
-            return self._node
-        if name not in self._ghosts:
-            namespace, _, base = name.rpartition("/")
-            try:
-                self._ghosts[name] = rclpy.create_node(
-                    base,
-                    namespace=namespace or "/",
-                    context=self._node.context,
-                    use_global_arguments=False,
-                    enable_rosout=False,
-                    start_parameter_services=False,
-                    parameter_overrides=[_NO_TYPE_DESCRIPTION],
-                )
-            except (NameValidationException, RuntimeError):  # a foreign middleware may have names that rcl refuses
-                return self._node
-        return self._ghosts[name]
 
 
 class GhostWriter:
