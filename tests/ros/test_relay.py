@@ -142,8 +142,8 @@ def test_a_writer_that_leaves_at_once_is_told_of():
     surveyed = Surveyed(view, "/stop")
     assert surveyed.writer(bytes(16))
     view.now = view.read = ()
-    for _ in range(2):
-        surveyed.look(1)
+    for has_changed in (True, False):
+        surveyed.look(has_changed=has_changed)
         assert [writer.gid for writer in surveyed.writers] == [bytes(16).hex()]
         assert {name: getattr(surveyed, name) for name in kind} == kind  # else the other end would refuse the topic
     surveyed.read((), time.monotonic() + 2.0)

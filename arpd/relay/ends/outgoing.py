@@ -116,7 +116,7 @@ class Outgoing:
     def look(self) -> None:
         """Follow the graph."""
         before, self._changes = self._changes, self._view.look()
-        if self._changes != before:
+        if has_changed := self._changes != before:
             names = {self._name_of(local): local for local in sorted(self._view.types) if is_full_name(local)}
             self._topics = {
                 name: self._topics.get(name) or Surveyed(self._view, local)
@@ -124,7 +124,7 @@ class Outgoing:
                 if name is not None
             }
         for topic in self._topics.values():
-            topic.look(self._changes)
+            topic.look(has_changed=has_changed)
         planned = {name: each.planned for name, each in self.carried.items() if any(each.planned)}
         if planned != self._planned and (now_s := time.monotonic()) >= self._planned_s:
             self._planned, self._planned_s = planned, now_s + _PLANS_S

@@ -49,21 +49,20 @@ class Surveyed:
     def __init__(self, view: GraphView, local: str) -> None:
         self._view, self.local = view, local
         self._lock = threading.Lock()
-        self._changes = -1  # of the graph, when it was looked at last
         self.types: tuple[str, ...] = ()
         self.type_name = ""  # type that is offered
         self.type_hash = ""  # its definition, where all its writers tell the same one
         self.writers: tuple[WriterOffer, ...] = ()
         self.known: Mapping[bytes, WriterOffer] = {}  # by GUID, with those that left, whose samples may still come
         self._left_s: dict[bytes, float] = {}
-        self.is_waiting = False  # whether to read again though nothing changes: a node may become known, or be told
+        # Whether to read although nothing changes: for the first time, or because a node may become known, or be told.
+        self.is_waiting = True
         self._sought: deque[bytes] = deque(maxlen=_MOST_SOUGHT)  # writers of which a sample came first
         self._unnamed_s: dict[bytes, float] = {}  # writers whose node is not known, and since when
 
-    def look(self, changes: int) -> None:
-        """Read what has changed, as the number of changes of the graph tells."""
-        before, self._changes = self._changes, changes
-        if before != changes or self.is_waiting:
+    def look(self, *, has_changed: bool) -> None:
+        """Read the writers, if the graph has changed since the last look, or somebody waits for a node."""
+        if has_changed or self.is_waiting:
             self._read()
 
     def writer(self, gid: bytes) -> WriterOffer | None:
