@@ -218,29 +218,24 @@ class Flight:
     def __init__(self) -> None:
         self._capacity = math.inf
         self._repair_s = 0.0
-        self.window_bytes: float = _LEAST_BYTES
-        self.out_s = math.inf
-        self._sent: deque[_Sent] = deque()
-        self._bytes = 0
-        self._number = self._counted = 0
+        self._number = 0
         self.freight = Freight()
         self._progress_s = -math.inf
         self._trips = _Lowest(_TRIP_S)
         self._trip_s = 0.0
         self._back_s = 0.0  # so much longer than the fastest one a receipt of late was on its way back
         self._slowest = _Lowest(_BACK_S)  # trip, negative
-        self._queue_s = self._standing_s = 0.0
+        self._standing_s = 0.0
         self._queues = _Lowest(_STANDING_S)
-        self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
-        self._rate = 0.0  # at which chunks arrive (bytes/s)
         self._bests: deque[tuple[float, float]] = deque()  # time and rate
+        self.restart()
 
     def restart(self) -> None:
         """Forget what was sent to a process that is gone."""
-        self._sent.clear()
-        self._arrivals.clear()
-        self._bytes, self._queue_s, self._rate = 0, 0.0, 0.0
-        self._counted = 0
+        self._sent: deque[_Sent] = deque()
+        self._bytes = self._counted = 0
+        self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
+        self._queue_s = self._rate = 0.0  # the second at which chunks arrive (bytes/s)
         self._bound()
 
     def believe(self, capacity: float, *, is_lossy: bool) -> None:
