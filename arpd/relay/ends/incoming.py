@@ -92,8 +92,10 @@ class Incoming:
         kinds: dict[str, Any] = {}
         self.refused = {name: reason for name, offer in offers.items() if (reason := reason_against(name, offer))}
         for name in offers.keys() - self.refused.keys():
+            offer = offers[name]
             try:
-                kinds[name] = _class_of(offers[name])
+                require_same(kind := message_class(offer.type_name), offer.type_name, offer.type_hash)
+                kinds[name] = kind
             except UnknownTypeError as fault:
                 self.refused[name] = str(fault)
         present = {writer_key(writer.gid) for name in kinds for writer in offers[name].writers}
@@ -200,10 +202,3 @@ class Incoming:
     def _remove(self, key: bytes) -> None:
         self._late.pop(key, None)
         self._ghosts.pop(key).writer.destroy()
-
-
-def _class_of(offer: TopicOffer) -> Any:
-    """Return the message class of an offered topic; UnknownTypeError = there is none, or another one, here."""
-    kind = message_class(offer.type_name)
-    require_same(kind, offer.type_name, offer.type_hash)
-    return kind
