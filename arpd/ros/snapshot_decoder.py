@@ -37,10 +37,6 @@ if TYPE_CHECKING:
     from enum import StrEnum
 
 
-def _unpaced_as_infinite(rates: list[float | None]) -> list[float]:
-    return [math.inf if rate is None else rate for rate in rates]
-
-
 def _keyed_by(names: type[StrEnum]) -> tuple[Any, ...]:
     """Return what lets known names pass alone: each becomes a label of a metric."""
     known = {name.value for name in names}
@@ -60,7 +56,8 @@ Seconds = Annotated[float, Field(ge=0.0, le=MOST_SECONDS)]
 T = TypeVar("T")
 # A short message may unfold to 400,000 faults, which took 2 s to write down; the first one is enough.
 Column = Annotated[list[T], Field(max_length=MOST_PUBLISHERS), FailFast()]
-Rates = Annotated[Column[Seconds | None], AfterValidator(_unpaced_as_infinite)]
+_UNPACED_AS_INFINITE = AfterValidator(lambda rates: [math.inf if rate is None else rate for rate in rates])
+Rates = Annotated[Column[Seconds | None], _UNPACED_AS_INFINITE]
 #: Of the fields of all records by the words that declare them, and of some by their names.
 KINDS: dict[str, Any] = {
     "str": Text,
