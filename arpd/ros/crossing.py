@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from arpd.model.endpoints import Direction
-from arpd.model.names import is_internal
+from arpd.model.names import ROS_TOPICS, is_internal
 from arpd.ros.names import LEAST_DEADLINE_NS, PUBLISHERS_TOPIC, REPORT_TOPIC, is_full_name, off_link
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _MOST_TOPICS = 3000  # so that a graph full of topics does not take the processor
 _ROBOT = b""  # in the place of a host
-_EVERY_NODE_WRITES = ("/parameter_events", "/rosout")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,7 +98,7 @@ def read_graph(view: GraphView, rmw: Rmw, *, first: Collection[str] = (), here: 
         # Between two ends one process a host reads; where it was killed and runs again, the graph shows both for 20 s.
         return found if name == topic or robot is None else {_side(each, robot): each for each in found}.values()
 
-    hosts = {writer.participant: writer.host for topic in _EVERY_NODE_WRITES for writer in view.writers(topic)}
+    hosts = {writer.participant: writer.host for topic in ROS_TOPICS for writer in view.writers(topic)}
     crossings = {
         topic: crossing(
             # The daemon's own writer of /diagnostics is no traffic of the robot.
