@@ -10,7 +10,6 @@ import re
 import resource
 import secrets
 import sys
-import threading
 import time
 from contextlib import closing
 from functools import partial
@@ -79,8 +78,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
     sys.setswitchinterval(_SWITCH_S)
     allow_many_files()
     settings = load_settings(config_path, interfaces=None, local_domain=local_domain())
-    stopping = threading.Event()
-    stop_on_signals(stopping)
+    stopping = stop_on_signals()
     notifier = Notifier()
     interface = AUTO if is_far else settings.link.interface  # the file names the robot's
     relay, link = settings.relay, settings.relay.link(is_far=is_far)

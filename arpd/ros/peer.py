@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import platform
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -136,8 +135,7 @@ def run_peer(*, interface: str, name: str | None, config_path: Path | None, log_
     if config_path is not None:
         relay = load_settings(config_path, interfaces=None, local_domain=local_domain()).relay
     link = relay.link(is_far=True)
-    stopping = threading.Event()
-    stop_on_signals(stopping)
+    stopping = stop_on_signals()
     notifier = Notifier()
     reader = InterfaceReader(interface, route=partial(interface_of_link, relay.robot, relay.base))
     reader.read()  # finds the interface for ``auto``

@@ -9,6 +9,7 @@ import os
 import secrets
 import signal
 import socket
+import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,7 +22,6 @@ from arpd.model.wire import MOST_DOMAIN
 from arpd.ros.rmw import chosen_rmw
 
 if TYPE_CHECKING:
-    import threading
     from collections.abc import Callable, Iterator, MutableMapping, Sequence
 
     from arpd.host.addresses import Addresses
@@ -311,8 +311,9 @@ def serve_until(
         notifier.stopping()
 
 
-def stop_on_signals(stopping: threading.Event) -> None:
-    """Let SIGINT and SIGTERM set ``stopping``, and ignore SIGHUP."""
+def stop_on_signals() -> threading.Event:
+    """Return an event that SIGINT and SIGTERM set from now on; SIGHUP is ignored."""
+    stopping = threading.Event()
 
     def handle(_signum: int, _frame: Any) -> None:
         stopping.set()
@@ -320,6 +321,7 @@ def stop_on_signals(stopping: threading.Event) -> None:
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    return stopping
 
 
 def send_without_waiting(environment: MutableMapping[str, str] = os.environ) -> None:
