@@ -11,18 +11,17 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
 from arpd import __version__
-from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.host.discovery import AnnouncedParticipants
 from arpd.model.relay import RelaySummary
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
 from arpd.relay.ends.incoming import Incoming
-from arpd.relay.ends.link import LINK_QOS, FreightWriter, LinkReader, LinkThread, LinkTopic, lasting_s
+from arpd.relay.ends.link import STATE_QOS, LinkReader, LinkThread, LinkTopic, lasting_s
 from arpd.relay.ends.offers import EndState, TopicOffer, decode_state, encode_state
 from arpd.relay.ends.outgoing import Outgoing
 from arpd.relay.envelope import WRAP
@@ -33,7 +32,6 @@ from arpd.ros.cdr import octets
 from arpd.ros.graph import ON_EVERY_NODE, GraphView
 from arpd.ros.names import is_arpds
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
-from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -47,8 +45,6 @@ _LOOK_S = 0.5  # the graph of the local domain
 _LINGER_S = 3.0  # an end that has just started wants nothing at first
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _PARTICIPANT = 24  # digits of a GUID that name its process
-_LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-_ALIVE = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _SIGNS = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _OWN_DOMAIN = "give each robot a relay.link_domain of its own, and run one arpd relay on it"
 #: In the place of a state while there is no other end.
@@ -102,22 +98,7 @@ class End:
         self._begun_s = self._look_s = lasting_s()
         self._status = ""  # as last told
         role, other = ("base", "robot") if is_far else ("robot", "base")
-        states, small, signs, calls = (
-            Outlet(
-                link_node.create_publisher(
-                    UInt8MultiArray, f"/arpd/relay/{role}{ending}", qos, event_callbacks=NO_EVENTS
-                ).handle
-            )
-            for ending, qos in (("", _LATCHED), ("/small", LINK_QOS), ("/alive", _ALIVE), ("/calls", LINK_QOS))
-        )
-        self._freight = FreightWriter(link_node, f"/arpd/relay/{role}/large")
-        self.link = LinkThread(
-            session,
-            state=states.publish,
-            sign=signs.publish,
-            together=small.publish,
-            freight=self._freight.publish,
-        )
+        self.link = LinkThread(session, link_node, f"/arpd/relay/{role}")
         # Two reading threads, so that what comes from the link does not wait for the nodes here; calls have a third.
         self._reading = thread = ReadingThread()
         chunks = partial(LinkReader, link_node, link=self.link, thread=thread)
@@ -133,21 +114,17 @@ class End:
             linger_s=_LINGER_S,
             node_name=self._side.node_name,
         )
-        # Two topics of weight 1 in the paced queue, of which none is dropped: a cancel waits behind no map.
-        self._small_calls, self._large_calls = Lane(calls.publish, is_kept=True), Lane(calls.publish, is_kept=True)
-        self.link.add(self._small_calls)
-        self.link.add(self._large_calls)
         self._calls = Calls(
             node,
             self._nodes,
-            self._send_call,
+            self.link.send_call,
             session=session,
             side=self._side,
             timeout_s=settings.call_timeout_s,
         )
         reader = partial(RawReader, link_node, UInt8MultiArray, thread=thread)
         self._readers: list[RawReader] = [
-            reader(f"/arpd/relay/{other}", _LATCHED, deliver=lambda sample: self._arrived.append(sample.data)),
+            reader(f"/arpd/relay/{other}", STATE_QOS, deliver=lambda sample: self._arrived.append(sample.data)),
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
             chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
             chunks(f"/arpd/relay/{other}/large", deliver=self.incoming.deliver, is_freight=True),
@@ -203,7 +180,7 @@ class End:
         self._calls.offered = services, self._there.session if is_reachable and not self._is_shared else None
         self.incoming.step(is_reachable=is_reachable)
         self.outgoing.step()
-        self._freight.follow(self.link.queue.flight.freight.held_until_s)
+        self.link.freight.follow(self.link.queue.flight.freight.held_until_s)
         if now_s - self._begun_s >= _SETTLE_S:
             self._tell()
         if is_due:
@@ -271,16 +248,6 @@ class End:
         if state != self._told:
             self._told = state
             self.link.tell(encode_state(state))
-
-    def _send_call(self, record: bytes, source: int) -> None:
-        """Let a record wait for its turn, in the place of one of this source; a large one on its way is not repeated.
-
-        Calls repeat themselves once a second, and a large answer takes longer. A small record overtakes no large one of
-        its source, which it may take back.
-        """
-        is_large, is_there = len(record) > SMALL_BYTES, self.link.has(self._large_calls, source)
-        if not (is_large and is_there):
-            self.link.offer(self._large_calls if is_large or is_there else self._small_calls, record, source=source)
 
     # -- status
 

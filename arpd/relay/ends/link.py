@@ -10,10 +10,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import UInt8MultiArray
 
-from arpd.endpoint.lane import Lane
+from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
@@ -30,7 +30,7 @@ from arpd.ros.raw_reader import RawReader, ReadingThread, Sample, is_late
 from arpd.ros.rcl import NO_EVENTS, Outlet
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable
+    from collections.abc import Callable, Collection
 
     from rclpy.node import Node
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 #: Reliable. The thread takes samples at once, so this bridges its scheduling only; and calls repeat themselves.
 LINK_QOS = QoSProfile(depth=1000)
+STATE_QOS = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+_SIGN_QOS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 #: Chunks that DDS keeps until they are acknowledged: more than may be on their way (`Flight`).
 LINK_DEPTH = 400
 _HISTORY = 1000  # most small samples of a latched writer; of its large ones, a map for example, the newest
@@ -52,42 +54,48 @@ class LinkThread(WritingThread):
 
     Parameters
     ----------
-    state : writes a state of the end, reliably
-    sign : writes one sign of life, best effort
-    together : writes small messages that leave together, reliably
-    freight : writes chunks in datagrams, reliably
+    node, name : in the domain of the link, and what the names of the end's topics there begin with
 
     Attributes
     ----------
     queue : what waits, and the account of what is on its way
+    freight : writes chunks in datagrams
     partner_gids : first bytes of the GUIDs of the other end's readers, in hexadecimal digits; empty = not known
     """
 
-    def __init__(
-        self,
-        session: int,
-        *,
-        state: Callable[[bytes], None],
-        sign: Callable[[bytes], None],
-        together: Callable[[bytes], None],
-        freight: Callable[[bytes], None],
-    ) -> None:
+    def __init__(self, session: int, node: Node, name: str) -> None:
+        def writes(ending: str, qos: QoSProfile) -> Callable[[bytes], None]:
+            publisher = node.create_publisher(UInt8MultiArray, name + ending, qos, event_callbacks=NO_EVENTS)
+            return Outlet(publisher.handle).publish
+
+        self.freight = FreightWriter(node, f"{name}/large")
         self.queue = LinkQueue(
             session,
             time.monotonic(),
-            together=together,
-            freight=freight,
+            together=writes("/small", LINK_QOS),
+            freight=self.freight.publish,
             asleep_s=lambda: lasting_s() - time.monotonic(),
         )
         super().__init__(self.queue, name="arpd-link", warn=log.error)
-        self._write_state, self._write_sign = state, sign
+        self._write_state, self._write_sign = writes("", STATE_QOS), writes("/alive", _SIGN_QOS)
+        # Two topics of weight 1 in the paced queue, of which none is dropped: a cancel waits behind no map.
+        write = writes("/calls", LINK_QOS)
+        self._small_calls, self._large_calls = Lane(write, is_kept=True), Lane(write, is_kept=True)
+        self.add(self._small_calls)
+        self.add(self._large_calls)
         self.partner_gids = ""
         self._state: bytes | None = None  # that waits; a newer one takes its place
 
-    def has(self, lane: Lane, source: Hashable) -> bool:
-        """Return whether a message of this source waits, is on its way, or was just now."""
+    def send_call(self, record: bytes, source: int) -> None:
+        """Let a record wait for its turn, in the place of one of this source; a large one on its way is not repeated.
+
+        Calls repeat themselves once a second, and a large answer takes longer. A small record overtakes no large one of
+        its source, which it may take back.
+        """
         with self._changed:
-            return lane.has(source, self._clock())
+            is_large, is_there = len(record) > SMALL_BYTES, self._large_calls.has(source, self._clock())
+            if not (is_large and is_there):
+                self.offer(self._large_calls if is_large or is_there else self._small_calls, record, source=source)
 
     def tell(self, state: bytes) -> None:
         """Write a state of the end, before all that waits."""
