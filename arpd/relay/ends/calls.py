@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.relay.ends.ghosts import GhostNodes
+    from arpd.relay.envelope import Chunk
     from arpd.relay.selection import Side
     from arpd.ros.graph import Endpoint
 
@@ -99,9 +100,9 @@ class Calls:
         for each in (*self._ghosts.values(), *self._clients.values()):
             each.destroy()
 
-    def arrived(self, sender: int, data: bytes) -> None:
-        """Take a record of the other end later, in the own thread; the sender is its session."""
-        self._arrived.append((sender, data))
+    def deliver(self, record: bytes, chunk: Chunk, _age_s: float) -> None:
+        """Take a record of the other end later, in the own thread."""
+        self._arrived.append((chunk.session, record))
         self.thread.wake()
 
     def _step(self) -> float:

@@ -128,10 +128,7 @@ class End:
             reader(f"/arpd/relay/{other}/alive", _SIGNS, deliver=self._hear_sign),
             chunks(f"/arpd/relay/{other}/small", deliver=self.incoming.deliver, is_together=True),
             chunks(f"/arpd/relay/{other}/large", deliver=self.incoming.deliver, is_freight=True),
-            chunks(
-                f"/arpd/relay/{other}/calls",
-                deliver=lambda record, chunk, _age_s: self._calls.arrived(chunk.session, record),
-            ),
+            chunks(f"/arpd/relay/{other}/calls", deliver=self._calls.deliver),
         ]
         publishing = NodePublishers.of(link_node).thread
         #: None may hang.
