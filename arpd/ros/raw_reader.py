@@ -94,10 +94,9 @@ class ReadingThread:
 
     Parameters
     ----------
-    step : called after every turn; returns when to call it again at the latest, by the clock (s)
+    step : called after every turn; returns when to call it again at the latest, by the monotonic clock (s)
     rest_s : rest after every turn, in which more samples come together (s)
     is_alive : returns False once its participant is gone, which destroys what it serves, and ends the thread
-    clock : monotonic clock (s)
     """
 
     def __init__(
@@ -106,15 +105,13 @@ class ReadingThread:
         step: Callable[[], float] = lambda: math.inf,
         rest_s: float = 0.0,
         is_alive: Callable[[], bool] = lambda: True,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._step = step
         self._rest_s = rest_s
         self._is_alive = is_alive
-        self._clock = clock
         # When it last finished a sample or a wait. A function may write, and a write onto a full link blocks for long,
         # so the watchdog's time runs for one sample alone.
-        self.finished_s = clock()
+        self.finished_s = time.monotonic()
         self._rcl = rcl()
         self._buffer, self._info = self._rcl.buffer(), MessageInfo()
         self._arguments = ctypes.byref(self._buffer), ctypes.byref(self._info)
@@ -195,12 +192,12 @@ class ReadingThread:
 
     def note_finished(self) -> float:
         """Note that something has been delivered, and return the time (s); only for this thread."""
-        self.finished_s = self._clock()
+        self.finished_s = time.monotonic()
         return self.finished_s
 
     def say_late(self, name: str) -> None:
         """Say that samples of a topic were left out; only for this thread."""
-        if self._logged.take("", self._clock()):
+        if self._logged.take("", time.monotonic()):
             why = f"its samples waited for more than {LATE_S:g} s, and the newest of each writer goes on"
             log.warning("this computer is too busy for %s: %s (logged once a minute for all topics)", name, why)
 
@@ -210,10 +207,10 @@ class ReadingThread:
 
     def _run(self) -> None:
         left: dict[int, int] = {}  # what was announced and is not taken yet, by event
-        look_s = self._clock() + _TURN_S
+        look_s = time.monotonic() + _TURN_S
         while True:
             self._close_retired()
-            wait_s = min(_TURN_S, self._step_now() - self._clock())
+            wait_s = min(_TURN_S, self._step_now() - time.monotonic())
             ready = {event for event, _ in self._events.poll(0 if left else max(0.0, wait_s))}
             if self.note_finished() >= look_s:
                 look_s = self.finished_s + _TURN_S
