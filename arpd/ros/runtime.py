@@ -11,7 +11,7 @@ import signal
 import socket
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
@@ -196,7 +196,7 @@ def ros_node(
         raise RosUnavailableError(f"ROS 2 cannot be imported ({error}); {GET_ROS}") from error
     context = context or (rclpy.get_default_context() if link is None else rclpy.Context())
     try:
-        with _discovery(link):
+        with nullcontext() if link is None else _discovery(link):
             domain_id = None if link is None else link.domain_id
             rclpy.init(context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
             _require_ports(context)
@@ -242,7 +242,7 @@ def _require_ports(context: Any) -> None:
 
 
 @contextmanager
-def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
+def _discovery(link: LinkDomain, environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
     """Let a context whose first node is made meanwhile look for others at known addresses, and never wait for a write.
 
     With a list of peers Fast DDS announces a participant to those, at the first four ports of the domain, and once more
@@ -252,9 +252,6 @@ def _discovery(link: LinkDomain | None, environment: MutableMapping[str, str] = 
     reliable protocol sends again what the socket did not take. rcl reads its variables at each initialisation, Fast DDS
     its own with each participant, which the first node makes.
     """
-    if link is None:
-        yield
-        return
     peers = ";".join(filter(None, ("127.0.0.1", link.peer)))
     own = {_RANGE: "SUBNET", _PEERS: peers}
     before = {name: environment.get(name) for name in (*own, _VARIABLE, _SERVER)}
