@@ -100,7 +100,7 @@ def test_a_stray_type_stops_nothing_and_follows_when_it_is_alone():
 
 
 def test_a_writer_is_known_for_half_a_minute_after_it_left():
-    """However long it was there; one without a node is offered after two seconds, and stays."""
+    """However long it was there; it is offered for a second. One without a node is offered after two, and stays."""
     surveyed = Surveyed(None, "/chatter")
     first, second = (Endpoint(gid=bytes([n] * 16)) for n in (1, 2))
     nameless = Endpoint(gid=bytes(16), is_named=False)
@@ -114,31 +114,35 @@ def test_a_writer_is_known_for_half_a_minute_after_it_left():
         ]
 
     assert offered_at(0.0, first) == [first]
-    assert offered_at(100.0, second) == [second]
+    assert offered_at(100.0, second) == [first, second]
+    assert offered_at(101.0, second) == [second]
     assert first.gid in surveyed.known
     assert (offered_at(131.0, second, nameless), surveyed.is_waiting) == ([second], True)
     assert first.gid not in surveyed.known
     assert (offered_at(133.0, second, nameless), surveyed.is_waiting) == ([second, nameless], False)
-    assert offered_at(134.0, nameless) == [nameless]
+    assert offered_at(134.0, nameless) == [second, nameless]
+
+
+class View:
+    """A graph that a test changes: what it shows, and what was read of it."""
+
+    now, read, ours = (), (), frozenset()
+
+    def look(self):
+        return 1
+
+    def writers_now(self, _topic):
+        self.read = self.now
+
+    def writers(self, _topic):
+        return self.read
 
 
 def test_a_writer_that_leaves_at_once_is_told_of():
     """A script publishes and ends before the graph is read again: its sample makes it known, and offered for 1 s."""
     kind = {"type_name": "std_msgs/msg/String", "type_hash": "RIHS01_1"}
-
-    class View:
-        now, read, ours = (Endpoint(gid=bytes(16), **kind),), (), frozenset()
-
-        def look(self):
-            return 1
-
-        def writers_now(self, _topic):
-            self.read = self.now
-
-        def writers(self, _topic):
-            return self.read
-
     view = View()
+    view.now = (Endpoint(gid=bytes(16), **kind),)
     surveyed = Surveyed(view, "/stop")
     assert surveyed.writer(bytes(16))
     view.now = view.read = ()
@@ -148,6 +152,19 @@ def test_a_writer_that_leaves_at_once_is_told_of():
         assert {name: getattr(surveyed, name) for name in kind} == kind  # else the other end would refuse the topic
     surveyed.read((), time.monotonic() + 2.0)
     assert not surveyed.writers
+
+
+def test_a_writer_that_no_look_finds_is_offered_by_what_heard_it():
+    """It left before its sample was taken; one of this process, or one that waits for its name, is not taken for it."""
+    view = View()
+    view.ours, waiting = frozenset({bytes(12)}), Endpoint(gid=bytes([2] * 16), is_named=False)
+    view.now = view.read = (waiting,)
+    surveyed = Surveyed(view, "/stop")
+    surveyed.look(has_changed=True)
+    for gid in (bytes([1] * 16), bytes(16), waiting.gid):
+        assert surveyed.writer(gid) is None
+        surveyed.adopt(gid, (True, False, 0))
+    assert [(each.gid, each.node, each.kind) for each in surveyed.writers] == [("01" * 16, "", (True, False, 0))]
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):

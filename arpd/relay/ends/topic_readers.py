@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left
-_TOLD_S = 1.0  # a writer that left before a look found it is offered so long: its samples need its name there
+_TOLD_S = 1.0  # a writer that left is offered so long: its samples need its name there
+_GONE_S = 0.3  # a sample whose writer no look finds for so long is of one that has left
 _MOST_SOUGHT = 100
 _TOLD = ("node", "is_reliable", "is_latched", "deadline_ns", "lifespan_ns", "lease_ns", "is_manual")
 _MOST_HELD = 1000
@@ -76,6 +78,15 @@ class Surveyed:
             self._read()
         return self.known.get(gid)
 
+    def adopt(self, gid: bytes, kind: WriterClass) -> None:
+        """Offer a writer that had left before a look found it, as one of no node, by the class that heard it."""
+        is_reliable, is_latched, lease_ns = kind
+        with self._lock:
+            if gid not in {*self.known, *self._unnamed_s} and gid[:12] not in self._view.ours:
+                offer = WriterOffer(node="", gid=gid.hex(), is_reliable=is_reliable, is_latched=is_latched)
+                self.known = {**self.known, gid: replace(offer, lease_ns=lease_ns, is_manual=lease_ns > 0)}
+        self._read()
+
     def _read(self) -> None:
         with self._lock:
             ours = self._view.ours
@@ -89,21 +100,22 @@ class Surveyed:
         self.is_waiting = bool(waiting)
         named = [each for each in writers if each.gid not in waiting]
         self.types = tuple(sorted({each.type_name for each in named}))
+        known = self.known
         if named and self.type_name not in self.types:  # a stray writer of another type stops nothing that flows
             if self.type_name:
-                self._sought.clear()  # what has left is of another type
+                known = {}  # what has left is of another type
             self.type_name = self.types[0] if len(self.types) == 1 else ""
         offered = [each for each in named if each.type_name == self.type_name]
         hashes = {each.type_hash for each in offered} - {""}
         if named:  # else what has left is offered as it was
             self.type_hash = hashes.pop() if len(hashes) == 1 else ""
         present = {each.gid: _offer(each) for each in sorted(offered, key=lambda each: each.gid)}
-        self._left_s = {gid: self._left_s.get(gid, now_s) for gid in self.known.keys() - present}
-        left = {gid: self.known[gid] for gid, left_s in self._left_s.items() if now_s - left_s < _REMEMBERED_S}
+        self._left_s = {gid: self._left_s.get(gid, now_s) for gid in known.keys() - present}
+        left = {gid: known[gid] for gid, left_s in self._left_s.items() if now_s - left_s < _REMEMBERED_S}
         self.known = left | present
-        brief = [gid for gid in self._sought if gid in left and now_s - self._left_s[gid] < _TOLD_S]
+        brief = [each for gid, each in left.items() if now_s - self._left_s[gid] < _TOLD_S]
         self.is_waiting |= bool(brief)
-        self.writers = (*present.values(), *(left[gid] for gid in brief))
+        self.writers = (*present.values(), *brief)
 
 
 def _offer(found: Endpoint) -> WriterOffer:
@@ -207,6 +219,9 @@ class TopicReaders:
         unknown: set[bytes] = set()
         for _ in range(len(self._held)):
             kind, sample, at_s = self._held.popleft()
+            if now_s - at_s >= _GONE_S:
+                heard = {each_kind for each_kind, each, _ in self._held if each.writer == sample.writer}
+                self._topic.adopt(sample.writer, max(heard | {kind}))
             if sample.writer in unknown or not self._deliver(kind, sample):
                 unknown.add(sample.writer)
                 if now_s - at_s < _HELD_S:
