@@ -14,7 +14,7 @@ from arpd.estimate.estimator import Estimator
 from arpd.govern.broadcast import Broadcast
 from arpd.govern.budget import Budget
 from arpd.govern.governor import Governor
-from arpd.govern.progress import Progress, progress
+from arpd.govern.plan import Progress, progress
 from arpd.model.allocation import Allocation, Decision, Topic
 from arpd.model.plan import MOST_GENERATION, QosPlan, own_qos
 from arpd.model.price import Price

@@ -11,8 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from arpd.govern.plan import Move, Wanted
-from arpd.govern.progress import is_confirmed
+from arpd.govern.plan import Move, Wanted, is_confirmed
 from arpd.govern.swaps import SwapBudget, swap_costs
 from arpd.model.allocation import Allocation, Binding, Decision, Topic
 from arpd.model.endpoints import Direction, PublisherState

@@ -24,7 +24,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Float64MultiArray, String
 
 from arpd import AdaptivePublisher
-from arpd.govern.progress import is_confirmed
+from arpd.govern.plan import is_confirmed
 from arpd.model.endpoints import Overflow, RefusalReason, SwapTiming, WriterQos
 from arpd.model.plan import TopicPlan
 from arpd.model.price import Price

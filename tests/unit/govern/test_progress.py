@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from arpd.govern.progress import is_confirmed, progress
+from arpd.govern.plan import is_confirmed, progress
 from arpd.model.endpoints import RefusalReason
 from arpd.model.plan import QosPlan, TopicPlan
 from tests.sample_publishers import publisher
