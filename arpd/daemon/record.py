@@ -36,7 +36,7 @@ class Record:
     Attributes
     ----------
     snapshot : the daemon after its last finished tick, None before the first
-    totals, events, found : as of the last tick that planned
+    decision_log, totals, found : as of the last tick that planned
     counted : number of such ticks
     probe_bytes : wire bytes of all probes
     history : the last ten minutes
@@ -45,12 +45,11 @@ class Record:
     def __init__(self, *, tell: Callable[[Event], None], timed: Callable[[str, float], None]) -> None:
         self.snapshot: Snapshot | None = None
         self.totals = Totals()
-        self.events: tuple[Event, ...] = ()
         self.found: tuple[Finding, ...] = ()
         self.counted = 0
         self.history = History()
         self._tell, self._timed = tell, timed
-        self._decision_log = DecisionLog()
+        self.decision_log = DecisionLog()
         self._has_failed = False  # whether the decision log raised
         self._ticks = self._late = self._reports = self._probes = self.probe_bytes = 0
 
@@ -95,15 +94,14 @@ class Record:
         self.found = find(snapshot)
         snapshot = replace(snapshot, totals=self.totals, found=self.found)
         try:
-            for event in self._decision_log.follow(snapshot):
+            for event in self.decision_log.follow(snapshot):
                 self._tell(event)
         except Exception:
             # A fault in the log must not stop the daemon.
             if not self._has_failed:
                 log.exception("the decision log failed and misses events; not logged again")
             self._has_failed = True
-        self.events = self._decision_log.events
-        self.totals = replace(self.totals, events_by_kind=self._decision_log.counts_by_kind)
-        self.snapshot = replace(snapshot, totals=self.totals, events=self.events)
+        self.totals = replace(self.totals, events_by_kind=self.decision_log.counts_by_kind)
+        self.snapshot = replace(snapshot, totals=self.totals, events=self.decision_log.events)
         self.counted += 1
         self.history.note(self.snapshot)

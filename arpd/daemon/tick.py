@@ -249,7 +249,7 @@ class Daemon:
             confirmed=self._planned.progress.confirmed,
             config_loaded_at_s=configuration.loaded_at_s,
             keys_awaiting_restart=configuration.awaiting_restart,
-            events=self.record.events,
+            events=self.record.decision_log.events,
             found=self.record.found,
         )
         self.record.note(snapshot)

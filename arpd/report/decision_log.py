@@ -67,7 +67,10 @@ class DecisionLog:
         for condition in [each for each in self._begun if each not in known]:
             begun = self._begun.pop(condition)
             if condition is not Condition.POSTPONED:  # which the next plan ends
-                yield _end(condition, snapshot.finished_at_s - begun.since_s)
+                lasted_s = snapshot.finished_at_s - begun.since_s
+                text = f"ended after {format_duration(lasted_s)}: {condition.phrase}"
+                details = {"state": "ended", "seconds": f"{lasted_s:.3f}"}
+                yield Event(condition, Severity.INFO, text, details=details)
 
     def _began(self, snapshot: Snapshot) -> Iterator[Event]:
         for finding in lasting(snapshot):
@@ -104,11 +107,6 @@ class DecisionLog:
             text=printable(event.text, longest=MOST_TEXT),
             details={name: printable(text, longest=_MOST_DETAIL) for name, text in event.details.items()},
         )
-
-
-def _end(condition: Condition, lasted_s: float) -> Event:
-    text = f"ended after {format_duration(lasted_s)}: {condition.phrase}"
-    return Event(condition, Severity.INFO, text, details={"state": "ended", "seconds": f"{lasted_s:.3f}"})
 
 
 def _started(snapshot: Snapshot) -> Event:
