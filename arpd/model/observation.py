@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,10 +66,6 @@ class Surroundings:
     active_daemon: str = ""
     radio_bytes_per_second: float | None = None
     relay: RelaySummary | None = None
-
-    def told(self) -> dict[str, Any]:
-        """Return these fields, to make a status with them."""
-        return {each.name: getattr(self, each.name) for each in fields(Surroundings)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from arpd.model.allocation import Allocation, TopicAllocation
@@ -176,7 +176,7 @@ def status_json(snapshot: Snapshot, *, now_s: float) -> Iterator[bytes]:
     observation, link, decision = snapshot.observation, snapshot.link, snapshot.decision
     head = Status(
         version=snapshot.version,
-        **observation.told(),
+        **{each.name: getattr(observation, each.name) for each in fields(Surroundings)},
         ready=True,
         unix_time_s=snapshot.unix_time_s,
         age_s=max(0.0, now_s - snapshot.finished_at_s),

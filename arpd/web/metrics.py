@@ -55,11 +55,15 @@ class SnapshotCollector(Collector):
         yield _family("ready", "1 once the first tick has finished.", snapshot is not None)
         if snapshot is None:
             return
-        now_s, rows = self._clock(), topic_rows(snapshot)
+        rows = topic_rows(snapshot)
+        held = {finding.condition for finding in judge(snapshot, rows=rows, now_s=self._clock()).findings}
         yield _family(
             "condition",
             "1 while arpd judges that the condition holds; wrong where somebody should look.",
-            _conditions(snapshot, rows, now_s=now_s),
+            [
+                ({"condition": each, "severity": each.severity, "wrong": str(each.is_wrong).lower()}, each in held)
+                for each in sorted(Condition)
+            ],
         )
         parts = (part(snapshot) for part in (_of_link, _of_plan, _of_interface, _totals, _of_relay))
         yield from (made for made in chain(*parts, _of_topics(rows)) if made.samples)
@@ -98,14 +102,6 @@ def _states(label: str, known: Iterable[str], current: str, **outer: str) -> _Ro
 def _counts(label: str, known: Iterable[str], found: Mapping[str, float], outer: _Labels | None = None) -> _Rows:
     """Return a row for each known value, from zero so that rate() sees the first; no message can add another."""
     return [({**(outer or {}), label: value}, found.get(value, 0)) for value in sorted(map(str, known))]
-
-
-def _conditions(snapshot: Snapshot, rows: tuple[Topic, ...], *, now_s: float) -> _Rows:
-    held = {finding.condition for finding in judge(snapshot, rows=rows, now_s=now_s).findings}
-    return [
-        ({"condition": each, "severity": each.severity, "wrong": str(each.is_wrong).lower()}, each in held)
-        for each in sorted(Condition)
-    ]
 
 
 def _of_link(snapshot: Snapshot) -> Iterator[Metric]:

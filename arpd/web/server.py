@@ -83,10 +83,8 @@ class HttpServer:
         self.registry = make_registry(snapshot, clock=clock, durations=durations)
         self._http = http
         self._access = Access(http, directory=directory, counts=HttpCounts(self.registry))
-        self._documents = Documents(
-            snapshot=snapshot, history=history, registry=self.registry, resting=resting, clock=clock
-        )
-        self._site = Site(documents=self._documents, access=self._access)
+        documents = Documents(snapshot=snapshot, history=history, registry=self.registry, resting=resting, clock=clock)
+        self._site = Site(documents=documents, access=self._access)
         self.fault = ""
         self.port = 0  # while it listens
 
