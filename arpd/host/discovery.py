@@ -105,11 +105,8 @@ def heard(
         size_bytes += len(packet) + _HEADERS_BYTES
         participant = participant_in(packet)
         if participant is not None and len(participants) < _MOST_PARTICIPANTS:
-            _, told = participants.setdefault(participant, (sender, Told({}, set(), set())))
-            more = announced(packet)
-            told.properties.update(more.properties)
-            told.transports.update(more.transports)
-            told.addresses.update(more.addresses)
+            first, before = participants.get(participant, (sender, None))
+            participants[participant] = first, announced(packet, before)
     running = _running(proc)
     announcers = [_announcer(*one, own, running) for one in participants.values()]
     return HeardDiscovery(
@@ -172,9 +169,9 @@ def _memory(process: Path) -> tuple[int, ...] | None:
     return told
 
 
-def announced(packet: bytes) -> Told:
-    """Return what the sender of an announcement tells of itself; shared memory is no transport that it tells."""
-    told = Told({}, set(), set())
+def announced(packet: bytes, before: Told | None = None) -> Told:
+    """Return what the sender of an announcement tells of itself, with what it told before; never of shared memory."""
+    told = before or Told({}, set(), set())
     with suppress(struct.error, IndexError, UnicodeDecodeError, OSError):  # the last for a short address
         for parameter, order, value in _parameters(packet):
             if parameter == _PROPERTY_LIST:
