@@ -151,8 +151,10 @@ class Estimator:
         """
         if self._is_pinned:
             return ()
-        # Trains for a peer that returns are not paid for. On a dying link, which fell silent, they would pile up.
-        waits = self._stated.kind is CapacityKind.LOCAL and self._has_train_under_way
+        # Trains for a peer that returns are not paid for. On a dying link, which fell silent, they would pile up: one
+        # waits until a peer reports a probe that left after the last train.
+        is_under_way = any(request.packets > 1 for request in islice(self._asked, 1, None))
+        waits = self._stated.kind is CapacityKind.LOCAL and is_under_way
         requests = tuple(
             self._schedule.wanted(
                 now_s,
@@ -309,11 +311,6 @@ class Estimator:
                 believed.ping(sent, was_idle=True, weight=parameters.LOOK_WEIGHT)
             self._stated.follow(now_s, CapacityKind.LOCAL, "the queue of this host's interface")
         return LinkState.CONGESTED if self._local.backlog_s > 0.0 else LinkState.APP_LIMITED
-
-    @property
-    def _has_train_under_way(self) -> bool:
-        """True until a peer reports a probe that left after the last train."""
-        return any(request.packets > 1 for request in islice(self._asked, 1, None))
 
     @property
     def _is_pinned(self) -> bool:

@@ -180,14 +180,19 @@ class Governor:
         return "memory"
 
     def _follow(self, state: LinkState) -> str:
-        """Make a plan if one is due; return its cause, empty without one."""
+        """Make a plan if one is due, and put it into force; return its cause, empty without one.
+
+        Terms go out at once. New QoS waits for the budget of swaps, but not where a reader would be lost.
+        """
         if state is LinkState.OUTAGE:
             # A plan for a lost link would be a guess, and topics beyond it are only silent.
             self._moving, self._demand_since_s = {}, math.inf
             return ""
         self._note_moves()
         if cause := self._cause():
-            self._plan(cause)
+            self._take(self._within_budget(), cause, self._lasting.budget_bytes_per_second)
+            self._changed_at_s, self._reload_pending, self._sharing = self._now_s, False, self._now_sharing
+            self._demand_since_s = self._differs_since_s = math.inf
         return cause
 
     def _note_moves(self) -> None:
@@ -264,15 +269,6 @@ class Governor:
             self._is_postponed = True
             return ""
         return "down" if Move.RELAX in ripe else "up"
-
-    def _plan(self, cause: str) -> None:
-        """Make a plan and put it into force.
-
-        Terms go out at once. New QoS waits for the budget of swaps, but not where a reader would be lost.
-        """
-        self._take(self._within_budget(), cause, self._lasting.budget_bytes_per_second)
-        self._changed_at_s, self._reload_pending, self._sharing = self._now_s, False, self._now_sharing
-        self._demand_since_s = self._differs_since_s = math.inf
 
     def _take(self, rows: Mapping[str, TopicPlan], cause: str, level: float) -> None:
         generation = min(MOST_GENERATION, max(self._newest, self.plan.generation) + 1)
