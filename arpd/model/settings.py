@@ -274,7 +274,9 @@ class Settings(Section):
     def __post_init__(self) -> None:
         """Prepare what `topic` answers: names, then patterns, the most specific first, then the defaults."""
         if self.program.policy is not Policy.UNIFORM:
-            patterns = sorted((topic for topic in self.topics if topic.is_pattern), key=_specificity)
+            patterns = [topic for topic in self.topics if topic.is_pattern]
+            # First those with more characters besides stars, then those with fewer stars.
+            patterns.sort(key=lambda topic: (-len(topic.name.replace("*", "")), topic.name.count("*")))
             self._named.update({topic.name: topic for topic in self.topics if not topic.is_pattern})
             self._patterns.extend((compile_patterns([topic.name]), topic) for topic in patterns)
         given = {each.name: getattr(self.defaults, each.name) for each in fields(Preferences)}
@@ -292,8 +294,3 @@ class Settings(Section):
         """
         matching = (preferences for pattern, preferences in self._patterns if pattern.fullmatch(name))
         return self._named.get(name) or next(matching)
-
-
-def _specificity(topic: TopicSettings) -> tuple[int, int]:
-    """Return a key that sorts patterns: first those with more characters besides stars, then those with fewer stars."""
-    return -len(topic.name.replace("*", "")), topic.name.count("*")

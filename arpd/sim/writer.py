@@ -112,7 +112,7 @@ class SimulatedWriter:
         self._last += 1
         self._history[self._last] = sample
         if len(self._history) > self._depth:
-            self._forget(self._first)
+            del self._history[self._first], self._settled_at_s[self._first]
             self._first += 1
         self._send(self._last)
         if not self._is_beating:
@@ -167,9 +167,6 @@ class SimulatedWriter:
     def _settle(self, number: int, at_s: float) -> None:
         if number in self._settled_at_s:
             self._settled_at_s[number] = at_s
-
-    def _forget(self, number: int) -> None:
-        del self._history[number], self._settled_at_s[number]
 
     def _beat(self) -> None:
         if not self._is_alive or self.is_acknowledged():
