@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from arpd.model.probing import PeerReport, Train
+from arpd.model.probing import PeerReport, ProbeHeader, Train
 from arpd.model.wire import probe_wire_bytes
 
 # A report answers a probe; `BUSY_S` and `QUIET_S` only bound how long news waits without one.
@@ -134,43 +134,30 @@ class Receiver:
         self._number, self._packets = -1, 0  # train whose packets arrive now
         self._arrivals: list[Arrival] = []
 
-    def on_probe(
-        self,
-        *,
-        train: int,
-        index: int,
-        packets: int,
-        payload_bytes: int,
-        sent_ns: int,
-        received_ns: int,
-        quiet_s: float = 0.0,
-    ) -> None:
-        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks).
-
-        ``quiet_s`` says how rare the daemon wants reports (s).
-        """
-        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, quiet_s))
-        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, quiet_s))
+    def on_probe(self, probe: ProbeHeader, payload_bytes: int, *, sent_ns: int, received_ns: int) -> None:
+        """Note one probe packet with the timestamps of its MessageInfo (ns, two different clocks)."""
+        self._quiet_s = min(LONGEST_QUIET_S, max(QUIET_S, probe.quiet_s))
+        self._late_s = min(LONGEST_QUIET_S, max(BUSY_S, probe.quiet_s))
         # A ping's delay is the first sign of a queue, and a train of a rise, so no report waits for further probes.
-        if index == packets - 1:
+        if probe.index == probe.packets - 1:
             self._wait_s = PROMPT_S
             self.due_s = min(self.due_s, self._sent_s + PROMPT_S)
-        if index == 0:
+        if probe.index == 0:
             del self._delays_s[:-_MOST_KEPT]
             self._delays_s.append((received_ns - sent_ns) / 1e9)
-            self._last_probe, self._packets_before = train, self._received
+            self._last_probe, self._packets_before = probe.train, self._received
         self._received += 1
-        if packets == 1:
+        if probe.packets == 1:
             if len(self._arrivals) >= (1.0 - _MOST_LOST) * self._packets:
                 self._close()
             return
-        if train != self._number:
+        if probe.train != self._number:
             self._close()
-            self._number, self._packets = train, packets
+            self._number, self._packets = probe.train, probe.packets
         if len(self._arrivals) >= self._packets:
             return  # the train is closed, or a sender repeats packets
         self._arrivals.append(Arrival(probe_wire_bytes(payload_bytes), sent_ns, received_ns))
-        if index == packets - 1:
+        if probe.index == probe.packets - 1:
             self._close()
 
     def look(self, now_s: float, counted: tuple[int, int] | None) -> PeerReport | None:

@@ -66,6 +66,22 @@ class ClockOffset:
     uncertainty_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class ProbeHeader:
+    """Place of one probe packet in its train; a ping is a train of one.
+
+    Parameters
+    ----------
+    train, index, packets : number of the train, place of the packet in it, and number of its packets
+    quiet_s : longest time between two reports that the daemon wants (s)
+    """
+
+    train: int
+    index: int
+    packets: int
+    quiet_s: float = 0.0
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeRequest:
     """Burst that the estimator wants on the link.

@@ -7,7 +7,6 @@ import math
 import platform
 import time
 from contextlib import contextmanager
-from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -64,9 +63,7 @@ class Peer:
             log.debug("ignored a probe: %s", fault)
             return
         self.probed_s = self._clock()
-        self._receiver.on_probe(
-            **asdict(header), payload_bytes=len(packet), sent_ns=sample.sent_ns, received_ns=sample.received_ns
-        )
+        self._receiver.on_probe(header, len(packet), sent_ns=sample.sent_ns, received_ns=sample.received_ns)
 
     def step(self) -> float:
         """Send a report if one is due; return when to call again at the latest (s)."""

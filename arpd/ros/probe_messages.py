@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
-from arpd.model.probing import PeerReport, Train
+from arpd.model.probing import PeerReport, ProbeHeader, Train
 
 _PROBE = struct.Struct("<BBHHI")  # version, quiet time (10 ms), index in train, packets in train, train number
 # Version, number of delays, number of trains, bytes of the name, interval s, rx bytes, rx packets, last probe, packets
@@ -23,22 +22,6 @@ _MOST_PACKETS = 1000  # in a train; arpd sends 24 (`arpd.estimate.probes`), its 
 _MOST_PACKET_BYTES = 65_536 + 1_000  # a datagram and its headers
 _MOST_BYTES_PER_SECOND = 100e9 / 8  # no robot has a faster network interface
 MOST_REPORT_BYTES = 1024  # of a serialized report
-
-
-@dataclass(frozen=True, slots=True)
-class ProbeHeader:
-    """Place of one probe packet in its train; a ping is a train of one.
-
-    Parameters
-    ----------
-    train, index, packets : number of the train, place of the packet in it, and number of its packets
-    quiet_s : longest time between two reports that the daemon wants (s)
-    """
-
-    train: int
-    index: int
-    packets: int
-    quiet_s: float = 0.0
 
 
 def encode_probe(header: ProbeHeader, *, payload_bytes: int) -> bytes:

@@ -20,6 +20,7 @@ from arpd.host.radio import transmit_rate
 from arpd.model.endpoints import MOST_PUBLISHERS, Direction, NodeSnapshot, PublisherState
 from arpd.model.errors import NotKnownError
 from arpd.model.observation import MessageKind, MessageRefusal, Observation
+from arpd.model.probing import ProbeHeader
 from arpd.ros.cdr import wrap
 from arpd.ros.crossing import Graph, read_graph
 from arpd.ros.graph import Endpoint, GraphView, this_host
@@ -31,7 +32,7 @@ from arpd.ros.other_daemons import OtherDaemons
 from arpd.ros.peer_reports import PeerReports
 from arpd.ros.plan_sender import PlanSender
 from arpd.ros.price_message import encode_price
-from arpd.ros.probe_messages import MOST_REPORT_BYTES, ProbeHeader, decode_report, encode_probe
+from arpd.ros.probe_messages import MOST_REPORT_BYTES, decode_report, encode_probe
 from arpd.ros.raw_reader import ReadingThread, Sample
 from arpd.ros.rcl import InvalidHandle, rcl
 from arpd.ros.rmw import current_rmw

@@ -11,6 +11,7 @@ from arpd.estimate.receiver import Receiver
 from arpd.model.endpoints import Direction, PublisherState
 from arpd.model.interface import InterfaceState, LinkCounters
 from arpd.model.observation import MemoryState, Observation
+from arpd.model.probing import ProbeHeader
 from arpd.model.relay import RelaySummary
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros.nodes import SILENT_S
@@ -216,13 +217,10 @@ class SimulatedWorld:
         stamp_s = self._timeline.now_s + self._random.expovariate(1.0 / _STAMP_JITTER_S)
         self._stamp_s = max(stamp_s, self._stamp_s)
         self._receiver.on_probe(
-            train=request.number,
-            index=index,
-            packets=request.packets,
-            payload_bytes=request.packet_bytes,
+            ProbeHeader(request.number, index, request.packets, request.quiet_s),
+            request.packet_bytes,
             sent_ns=round(sent_s * 1e9),
             received_ns=round((self._stamp_s + _PEER_CLOCK_S) * 1e9),
-            quiet_s=request.quiet_s,
         )
         self._report_alarm.set_by(self._receiver.due_s)
 

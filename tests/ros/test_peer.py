@@ -10,13 +10,13 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.estimate.receiver import Receiver
 from arpd.host.interface import InterfaceReader
 from arpd.model.observation import MessageKind, MessageRefusal
-from arpd.model.probing import ProbeRequest
+from arpd.model.probing import ProbeHeader, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from arpd.ros import peer_reports
 from arpd.ros.cdr import wrap
 from arpd.ros.names import PROBE_TOPIC, REPORT_TOPIC
 from arpd.ros.peer import serving
-from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe, encode_report
+from arpd.ros.probe_messages import decode_report, encode_probe, encode_report
 from arpd.ros.world import RosControl
 from tests.ros.ends_world import BEST_EFFORT
 from tests.ros.world import DOMAIN, FREE

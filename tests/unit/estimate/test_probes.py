@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from arpd.estimate import probes
 from arpd.estimate.probes import ProbeLoss, ProbeSchedule
 from arpd.estimate.receiver import Receiver
-from arpd.model.probing import ProbeRequest
+from arpd.model.probing import ProbeHeader, ProbeRequest
 from arpd.model.wire import probe_wire_bytes
 from tests.examples import examples
 
@@ -122,9 +122,7 @@ def lost_of(course, *, counted, peers):
         loss.note_sent(ProbeRequest(packets=packets, packet_bytes=16, number=number))
         for receiver in receivers:
             for index in range(packets - lost):
-                receiver.on_probe(
-                    train=number, index=index, packets=packets, payload_bytes=16, sent_ns=0, received_ns=0
-                )
+                receiver.on_probe(ProbeHeader(number, index, packets), 16, sent_ns=0, received_ns=0)
             if report := receiver.look(number * 0.1, None):
                 loss.digest(replace(report, probe_packets=report.probe_packets % 2**32))
     return loss.ratio(len(course) * 0.1)

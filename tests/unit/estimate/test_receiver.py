@@ -14,6 +14,7 @@ from arpd.estimate.receiver import (
     Receiver,
     measure_train,
 )
+from arpd.model.probing import ProbeHeader
 from arpd.model.wire import probe_wire_bytes
 
 SIZE = 1200
@@ -78,13 +79,10 @@ def test_a_train_is_a_part_of_what_was_sent(gaps, sent_every_ns, lost):
 def send(receiver, number, packets, *, indices=None, quiet_s=0.0):
     for index in range(packets) if indices is None else indices:
         receiver.on_probe(
-            train=number,
-            index=index,
-            packets=packets,
-            payload_bytes=SIZE if packets > 1 else 16,
+            ProbeHeader(number, index, packets, quiet_s),
+            SIZE if packets > 1 else 16,
             sent_ns=index * 100_000,
             received_ns=OFFSET_NS + index * SPACING_NS,
-            quiet_s=quiet_s,
         )
 
 

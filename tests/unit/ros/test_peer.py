@@ -8,9 +8,10 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from arpd.estimate.receiver import QUIET_S
 from arpd.model.interface import InterfaceState, LinkCounters
+from arpd.model.probing import ProbeHeader
 from arpd.ros.cdr import octets, wrap
 from arpd.ros.peer import Peer, default_name
-from arpd.ros.probe_messages import ProbeHeader, decode_report, encode_probe
+from arpd.ros.probe_messages import decode_report, encode_probe
 from arpd.ros.raw_reader import Sample
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arpd.model.probing import PeerReport, Train
-from arpd.ros.probe_messages import ProbeHeader, decode_probe, decode_report, encode_probe, encode_report
+from arpd.model.probing import PeerReport, ProbeHeader, Train
+from arpd.ros.probe_messages import decode_probe, decode_report, encode_probe, encode_report
 from tests.examples import examples
 
 REPORT = PeerReport(
