@@ -48,8 +48,8 @@ class RatesLog:
             return
         self._news_since_s = min(self._news_since_s, now_s)
         if now_s - self._news_since_s >= _LASTS_S:
-            there = {row.topic for row in rows if row.allocation}
-            yield _event({topic: row for topic, row in self._logged.items() if topic in there}, now)
+            there = {row.topic: row for row in rows if row.allocation}
+            yield _event({topic: row for topic, row in self._logged.items() if topic in there}, now, there)
             self._logged, self._news_since_s = now, math.inf
 
 
@@ -57,12 +57,11 @@ def _is_far(one: Topic, other: Topic) -> bool:
     return max(one.kept_ratio, other.kept_ratio) > _AS_BEFORE * min(one.kept_ratio, other.kept_ratio)
 
 
-def _event(before: Mapping[str, Topic], now: Mapping[str, Topic]) -> Event:
+def _event(before: Mapping[str, Topic], now: Mapping[str, Topic], there: Mapping[str, Topic]) -> Event:
     moved = []
     for topic in before.keys() | now.keys():
-        source_hz = (now.get(topic) or before[topic]).confirmed.source_rate_hz
-        was_hz = before[topic].allowed_hz if topic in before else source_hz
-        is_hz = now[topic].allowed_hz if topic in now else source_hz
+        was_hz = before[topic].allowed_hz if topic in before else now[topic].wanted_hz
+        is_hz = now[topic].allowed_hz if topic in now else there[topic].wanted_hz
         moved.append(Change(topic, was_hz, is_hz, weight=abs(math.log(max(is_hz, 1e-3) / max(was_hz, 1e-3)))))
     words = changes(moved, " Hz")
     condition, what = Condition.LIMITED, f"the link slows {count(len(now), 'topic')}"

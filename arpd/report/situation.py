@@ -239,7 +239,7 @@ def _course(snapshot: Snapshot, rows: Sequence[Topic], slowed: Sequence[Topic]) 
         yield Finding(Condition.CLEAR, f"{why}; {now}")
         return
     most = slowed[0]
-    rates = f"{format_number(most.confirmed.source_rate_hz)} → {format_number(most.allowed_hz)} Hz"
+    rates = f"{format_number(most.wanted_hz)} → {format_number(most.allowed_hz)} Hz"
     many = len({row.topic for row in slowed})
     slows = f"arpd slows {many} of {count(planned, 'topic')}, {most.topic} most ({rates})"
     yield Finding(Condition.LIMITED, f"{_budget(snapshot)}, and the robot offers more; {slows}; {_effect(snapshot)}")

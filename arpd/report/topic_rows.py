@@ -27,7 +27,7 @@ class Topic:
     planned : its row of the plan in force; null if no plan has the topic, or the plan gives it back
     confirmed : what it announces: its counters, and the settings in force
     allocation : what the last tick gives it; null if the program does not have the topic
-    kept_ratio : part of the source's rate that the link leaves it now, 0 to 1; 1 where the link does not slow it
+    kept_ratio : part of the rate it wants that the link leaves it now, 0 to 1; 1 where the link does not slow it
     keeps_qos : True if it refuses new QoS for good, so that arpd manages only the rate
     age_s : time since the announcement (s)
     """
@@ -43,7 +43,7 @@ class Topic:
 
     @property
     def is_slowed(self) -> bool:
-        """Whether the link keeps it below its source's rate; a rate within a twentieth of that slows nobody."""
+        """Whether the link keeps it below the rate it wants; a rate within a twentieth of that slows nobody."""
         return self.kept_ratio < _SLOWED_BELOW
 
     @property
@@ -55,7 +55,12 @@ class Topic:
     @property
     def most_hz(self) -> float:
         """Rate that its source and the last tick let go (Hz)."""
-        return min(self.confirmed.source_rate_hz, self.allowed_hz)
+        return min(self.wanted_hz, self.allowed_hz)
+
+    @property
+    def wanted_hz(self) -> float:
+        """Rate of its source, or less where the configuration says so (Hz)."""
+        return min(self.confirmed.source_rate_hz, self.planned.max_rate_hz if self.planned else math.inf)
 
     @property
     def allowed_hz(self) -> float:
@@ -72,7 +77,7 @@ def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
         planned, allocation = snapshot.decision.plan.topics.get(topic), by_topic.get(topic)
         kept = 1.0
         if planned and allocation and publisher.source_rate_hz > 0 and allocation.binding in _OF_THE_LINK:
-            kept = min(1.0, allocation.rate_hz / publisher.source_rate_hz)
+            kept = min(1.0, allocation.rate_hz / min(publisher.source_rate_hz, planned.max_rate_hz))
         rows.append(
             Topic(
                 topic=topic,

@@ -200,6 +200,18 @@ def test_rates_that_the_link_takes_for_long_are_told_both_ways(log):
     assert "/camera 30 → 2.1 Hz" in slowed.text  # of several publishers the one that is slowed most
 
 
+def test_a_rate_that_the_configuration_caps_is_told_against_the_cap(log):
+    """What `max_rate_hz` keeps back is not the link's doing, and the link gives back no more than that."""
+    first(log)
+    log.wait(12.0, topics=FELL, confirmed=4)
+    plan = log.snapshot.decision.plan
+    capped = replace(plan, topics={**plan.topics, "/camera": replace(plan.topics["/camera"], max_rate_hz=4.0)})
+    *_, free = log.wait(12.0, plan=capped, topics=FULL)
+    assert "/camera 2.1 → 4 Hz" in free.text
+    *_, slowed = log.wait(12.0, topics=FELL)
+    assert "/camera 4 → 2.1 Hz" in slowed.text
+
+
 def test_a_topic_that_has_left_is_not_told_to_send_more(log):
     """Nobody sends it any longer, so the link does not let it."""
     first(log)
