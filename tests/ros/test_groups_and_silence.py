@@ -56,8 +56,8 @@ def test_a_stereo_pair_arrives_whole_or_not_at_all(world, background, eventually
     eventually("the other topic is named", lambda: words in ends.status["robot"])
 
 
-def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world, talking, eventually):
-    """The robot's end waits, and says who is silent; it alone tells the daemon, which notices when it ends."""
+def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world, talking, tmp_path, eventually):
+    """The robot's end waits, and says who is silent and where; it alone tells the daemon, which notices its end."""
     ends = world().start("robot")
     writer = ends.side("robot").node("other").create_publisher(String, "/unread", 10)
     eventually("the end waits", lambda: "waiting for the base computer's end; 1 topics" in ends.status["robot"])
@@ -88,6 +88,8 @@ def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world,
         return seen().refused.get((MessageKind.PUBLISHERS, MessageRefusal.MALFORMED))
 
     eventually("a false snapshot is refused", is_refused)
+    words = "nothing heard of arpd-relay-far at 127.0.0.1 (relay.base) for 10 s"
+    eventually("the log says where the silent end should be", lambda: words in (tmp_path / "robot.log").read_text())
     ends.end("robot")
     eventually("the daemon sees that the relay ended", lambda: seen().is_relay_silent)
     assert seen().relay is None

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5  # the graph of the local domain
+_SILENT_S = 10.0
 _LINGER_S = 3.0  # an end that has just started wants nothing at first
 _SETTLE_S = 1.0  # before it offers anything: until then an end that has just started sees a part of its graph only
 _PARTICIPANT = 24  # digits of a GUID that name its process
@@ -95,9 +96,12 @@ class End:
             local_gids=self._view.own.participant.hex(),
         )
         self._told = NOBODY  # this end's state, as the other one was told
-        self._begun_s = self._look_s = lasting_s()
+        self._begun_s = self._look_s = self._heard_s = lasting_s()
+        self._is_silent = False
         self._status = ""  # as last told
         role, other = ("base", "robot") if is_far else ("robot", "base")
+        program = "arpd-relay" if is_far else "arpd-relay-far"
+        self._sought = f"{program} at {getattr(settings, other) or 'an unknown address'} (relay.{other})"
         self.link = LinkThread(session, link_node, f"/arpd/relay/{role}")
         # Two reading threads, so that what comes from the link does not wait for the nodes here; calls have a third.
         self._reading = thread = ReadingThread()
@@ -253,6 +257,7 @@ class End:
         if relay.fault not in {"", self._logged}:
             self._logged = relay.fault
             log.error("the other end cannot be used: %s", relay.fault)
+        self._log_silence(now_s, is_heard=relay.is_reachable or relay.fault != "")
         status = status_line(
             relay,
             is_far=self._is_far,
@@ -268,6 +273,15 @@ class End:
             told.relay = lambda: replace(relay, link_bytes=queue.link_bytes)
             if is_news:
                 told.hurry()
+
+    def _log_silence(self, now_s: float, *, is_heard: bool) -> None:
+        if is_heard:
+            self._heard_s = now_s
+        was_silent, self._is_silent = self._is_silent, now_s - self._heard_s > _SILENT_S
+        if self._is_silent and not was_silent:
+            log.warning("nothing heard of %s for %g s; does it run, and is the address right?", self._sought, _SILENT_S)
+        elif was_silent and not self._is_silent:
+            log.info("the other end is heard again")
 
     def _summary(self, now_s: float) -> RelaySummary:
         here, there = self._told, self._there
