@@ -1,7 +1,7 @@
-"""A user's node. Usage: node.py NAME PART…, with a PART like write:/chat:std_msgs/String:500, adapt:… or read:….
+"""A user's node. Usage: node.py NAME PART…; a PART is like write:/chat:std_msgs/String:500, or adapt:, read: or view:.
 
-It publishes each topic 20 times a second, numbered if it is a String, which may have so many characters more. Of each
-sample that it reads it says the topic and the number.
+It publishes each topic 20 times a second, numbered if it is a String, which may have so many characters more; octets
+are so many. Of each sample that it reads, or views as best effort, it says the topic and the number.
 """
 
 import sys
@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import count
 
 import rclpy
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 QOS = QoSProfile(depth=2000)  # RELIABLE, KEEP_LAST, 100 s
 
@@ -25,7 +25,8 @@ def created(node, what, made, topic):
 
 
 def publish(publisher, made, size, numbers):
-    publisher.publish(made(data=f"{next(numbers):08}" + "x" * size) if made.__name__ == "String" else made())
+    content = {"String": f"{next(numbers):08}" + "x" * size, "UInt8MultiArray": bytes(size)}.get(made.__name__)
+    publisher.publish(made() if content is None else made(data=content))
 
 
 def say(topic, sample):
@@ -39,8 +40,9 @@ def main(name, *parts):
         what, topic, kind, *size = part.split(":")
         package, kind = kind.split("/")
         made = getattr(import_module(f"{package}.msg"), kind)
-        if what == "read":
-            node.create_subscription(made, topic, partial(say, topic), QOS)
+        if what in {"read", "view"}:
+            qos = QOS if what == "read" else qos_profile_sensor_data
+            node.create_subscription(made, topic, partial(say, topic), qos)
         else:
             publisher = created(node, what, made, topic)
             node.create_timer(0.05, partial(publish, publisher, made, int(*size or "0"), count()))
