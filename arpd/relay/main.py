@@ -94,7 +94,7 @@ def run_relay(*, config_path: Path, node_name: str | None, log_level: str, is_fa
         prepare_environment(TWO_ENDED_PROFILE)
         return_large_blocks()
         with ros_node(name, link, address=own()) as link_node:
-            prepare_for_this_host(paces_large=is_far)
+            prepare_for_this_host()
             with ros_node(name) as node:
                 check_middleware(current_rmw())
                 check_deaf_to_itself(node)

@@ -38,13 +38,6 @@ OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
 DAEMON_PROFILE = Path(__file__).with_name("fastdds-daemon.xml")
 _GHOSTS_PROFILE = Path(__file__).with_name("fastdds-ghosts.xml")
-_LARGE_GHOSTS_PROFILE = Path(__file__).with_name("fastdds-large-ghosts.xml")
-_MODE, _BY_PROFILE = "RMW_FASTRTPS_PUBLICATION_MODE", "AUTO"
-# Of the throughput controller, that limits nothing, and one datagram of 65 kB every 2 ms.
-_PACED = {
-    "<bytesPerPeriod>50000000<": "<bytesPerPeriod>66000<",
-    "<periodMillisecs>50<": "<periodMillisecs>2<",
-}
 UDP_PROFILE = Path(__file__).with_name("fastdds-udp.xml")
 # Of Fast DDS 2.14: XMLProfileManager::loadXMLString(text, size), which returns XML_OK, and get_instance() of
 # DomainParticipantFactory with set_default_participant_qos(PARTICIPANT_QOS_DEFAULT), which reads the default of the
@@ -79,7 +72,7 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
         environment.setdefault(_RANGE, "LOCALHOST")
 
 
-def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ, *, paces_large: bool = False) -> None:
+def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ) -> None:
     """Give participants that are made from now on, and their writers, a profile for nodes on this host alone.
 
     Fast DDS loads a file of profiles once in a process, and a participant takes its default, and that of its writers,
@@ -88,36 +81,15 @@ def prepare_for_this_host(environment: MutableMapping[str, str] = os.environ, *,
 
     With UDP alone the range is no longer LOCALHOST, in which rmw_fastrtps adds shared memory, but the profile's own,
     which is the same. Only in LOCALHOST and SUBNET it takes ROS_STATIC_PEERS, so they are written into the profile.
-
-    Parameters
-    ----------
-    paces_large : whether `pace_large` will count
     """
-    if _is_ours(environment) and environment.get(_RANGE) == "LOCALHOST":
+    is_ours = environment.get(PROFILE_VARIABLE) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
+    if is_ours and environment.get(_RANGE) == "LOCALHOST":
         profiles = [_GHOSTS_PROFILE.read_text()]
         has_udp_alone = environment.get(_VARIABLE, "").partition("?")[0] == "UDPv4"  # with options or without
         if has_udp_alone:
             profiles.append(_with_peers(UDP_PROFILE.read_text(), environment.get(_PEERS, "")))
-        for usual, paced in _PACED.items() if paces_large else ():
-            profiles = [profile.replace(usual, paced) for profile in profiles]
-        if _load(*profiles):
-            if paces_large:
-                environment.setdefault(_MODE, _BY_PROFILE)
-            if has_udp_alone:  # else rmw_fastrtps names the peer that has no address
-                environment[_RANGE] = "SYSTEM_DEFAULT"
-
-
-def pace_large(topic: str, environment: MutableMapping[str, str] = os.environ) -> None:
-    """Let the writers of a topic on this host, made from now on, give the sockets of its readers time to be emptied.
-
-    That is for samples that may be large, and after `prepare_for_this_host`; else nothing changes.
-    """
-    if _is_ours(environment) and environment.get(_MODE) == _BY_PROFILE:
-        _load(_LARGE_GHOSTS_PROFILE.read_text().replace("TOPIC", topic))
-
-
-def _is_ours(environment: MutableMapping[str, str]) -> bool:
-    return environment.get(PROFILE_VARIABLE) in {str(TWO_ENDED_PROFILE), str(DAEMON_PROFILE)}
+        if _load(*profiles) and has_udp_alone:  # else rmw_fastrtps names the peer that has no address
+            environment[_RANGE] = "SYSTEM_DEFAULT"
 
 
 def _load(*profiles: str) -> bool:

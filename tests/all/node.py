@@ -1,7 +1,7 @@
-"""A user's node. Usage: node.py NAME PART…; a PART is like write:/chat:std_msgs/String:500, or adapt:, read: or view:.
+"""A user's node. Usage: node.py NAME PART…, with a PART like write:/chat:std_msgs/String:500, adapt:… or read:….
 
-It publishes each topic 20 times a second, numbered if it is a String, which may have so many characters more; octets
-are so many. Of each sample that it reads, or views as best effort, it says the topic and the number.
+It publishes each topic 20 times a second, numbered if it is a String, which may have so many characters more. Of each
+sample that it reads it says the topic and the number.
 """
 
 import sys
@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import count
 
 import rclpy
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile
 
 QOS = QoSProfile(depth=2000)  # RELIABLE, KEEP_LAST, 100 s
 
@@ -25,8 +25,7 @@ def created(node, what, made, topic):
 
 
 def publish(publisher, made, size, numbers):
-    content = {"String": f"{next(numbers):08}" + "x" * size, "UInt8MultiArray": bytes(size)}.get(made.__name__)
-    publisher.publish(made() if content is None else made(data=content))
+    publisher.publish(made(data=f"{next(numbers):08}" + "x" * size) if made.__name__ == "String" else made())
 
 
 def say(topic, sample):
@@ -40,9 +39,8 @@ def main(name, *parts):
         what, topic, kind, *size = part.split(":")
         package, kind = kind.split("/")
         made = getattr(import_module(f"{package}.msg"), kind)
-        if what in {"read", "view"}:
-            qos = QOS if what == "read" else qos_profile_sensor_data
-            node.create_subscription(made, topic, partial(say, topic), qos)
+        if what == "read":
+            node.create_subscription(made, topic, partial(say, topic), QOS)
         else:
             publisher = created(node, what, made, topic)
             node.create_timer(0.05, partial(publish, publisher, made, int(*size or "0"), count()))

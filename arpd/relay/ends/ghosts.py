@@ -21,10 +21,8 @@ from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 from arpd.endpoint.writer import RosWriter, swap_failure
 from arpd.endpoint.writer_swap import WriterSwap
 from arpd.model.endpoints import SwapResult, SwapTiming, WriterQos
-from arpd.relay.ends.types import is_bulk
 from arpd.ros.graph import Requests, policies_of
 from arpd.ros.raw_reader import bounded_depth
-from arpd.ros.runtime import pace_large
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,8 +115,6 @@ class GhostWriter:
     ) -> None:
         self.offer, self._node, self._depth = offer, node, depth
         self._most_held_bytes = None if offer.is_latched else most_held_bytes
-        if is_bulk(msg_type):
-            pace_large(topic)
         self._new_publisher = partial(node.create_publisher, msg_type, topic)
         self._planned = NO_PLAN if offer.is_latched else planned
         self._requests = Requests(node, topic)

@@ -5,7 +5,6 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from arpd.model.settings import LinkDomain
-from arpd.ros import runtime
 from arpd.ros.profile import missing_in_profile
 from arpd.ros.runtime import (
     DAEMON_PROFILE,
@@ -15,9 +14,7 @@ from arpd.ros.runtime import (
     TWO_ENDED_PROFILE,
     _discovery,
     any_user_heard,
-    pace_large,
     prepare_environment,
-    prepare_for_this_host,
     send_without_waiting,
 )
 from arpd.ros.topic_measuring import is_confined
@@ -185,22 +182,3 @@ def test_the_link_s_participant_leaves_its_host_and_the_robot_s_discovery_server
             "FASTDDS_BUILTIN_TRANSPORTS": f"{link}?non_blocking=true",
         }
     assert environment == before
-
-
-def test_large_samples_are_paced_on_the_base_computer_alone(monkeypatch):
-    """Their writers are asynchronous, and a datagram leaves every 2 ms; a mode that the user has chosen stays."""
-    local = {PROFILE_VARIABLE: str(TWO_ENDED_PROFILE), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    chosen = {"RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS"}
-    for is_paced, more, modes in ((False, {}, []), (True, chosen, []), (True, {}, ["ASYNCHRONOUS"])):
-        loaded = []
-
-        def load(*profiles, loaded=loaded):
-            loaded += map(ET.fromstring, profiles)
-            return True
-
-        monkeypatch.setattr(runtime, "_load", load)
-        prepare_for_this_host(environment := local | more, paces_large=is_paced)
-        pace_large("/image", environment)
-        assert loaded[0].findtext(".//{*}bytesPerPeriod") == ("66000" if is_paced else "50000000")
-        assert [each.findtext(".//{*}publishMode/{*}kind") for each in loaded[1:]] == modes
-        assert [each.find(".//{*}data_writer").get("profile_name") for each in loaded[1:]] == ["/image"] * len(modes)
