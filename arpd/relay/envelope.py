@@ -7,7 +7,7 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from arpd.ros.cdr import ARRAY, octets, wrap
+from arpd.ros.cdr import ARRAY, LITTLE_ENDIAN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -83,17 +83,22 @@ def unpack(message: bytes) -> list[Record]:
 
 def encode_chunk(chunk: Chunk) -> bytes:
     """Return a serialized UInt8MultiArray with a chunk."""
-    return wrap(_CHUNK.pack(*chunk[:7]) + chunk.part)
+    size = _CHUNK.size + len(chunk.part)
+    return ARRAY.pack(LITTLE_ENDIAN, 0, 0, size) + _CHUNK.pack(*chunk[:7]) + chunk.part
 
 
 def decode_chunk(sample: bytes) -> Chunk:
     """Return the chunk in a serialized UInt8MultiArray; raises ValueError if it holds none."""
-    content = octets(sample)
-    if len(content) < _CHUNK.size:
+    try:
+        cdr, dimensions, offset, size = ARRAY.unpack_from(sample)
+        session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(sample, ARRAY.size)
+    except struct.error as fault:
+        raise ValueError("no chunk of a relay") from fault
+    part = sample[CHUNK_HEADER_BYTES : ARRAY.size + size]
+    chunk = Chunk(session, number, departed_us, message, at, total, bool(is_kept), part)
+    if cdr[:2] != LITTLE_ENDIAN[:2] or dimensions or offset or len(part) != size - _CHUNK.size:
         raise ValueError("no chunk of a relay")
-    session, number, departed_us, message, at, total, is_kept = _CHUNK.unpack_from(content)
-    chunk = Chunk(session, number, departed_us, message, at, total, bool(is_kept), content[_CHUNK.size :])
-    if not chunk.offset + len(chunk.part) <= chunk.total <= MOST_MESSAGE_BYTES:
+    if not chunk.offset + len(part) <= chunk.total <= MOST_MESSAGE_BYTES:
         raise ValueError(f"a chunk at {chunk.offset} of a message of {chunk.total} bytes")
     return chunk
 

@@ -7,7 +7,7 @@ import struct
 _ORDER = {0: ">", 1: "<"}  # by CDR's representation identifier (OMG DDSI-RTPS 2.3, 10.5)
 #: What stands before the bytes of a UInt8MultiArray: an array without dimensions, no offset, and its length.
 ARRAY = struct.Struct("<4sIII")
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def stamp_of(sample: bytes) -> tuple[int, int]:
@@ -24,7 +24,7 @@ def stamp_of(sample: bytes) -> tuple[int, int]:
 
 def wrap(content: bytes) -> bytes:
     """Return a serialized UInt8MultiArray with these bytes; rclpy would take an element at a time."""
-    return ARRAY.pack(_LITTLE_ENDIAN, 0, 0, len(content)) + content
+    return ARRAY.pack(LITTLE_ENDIAN, 0, 0, len(content)) + content
 
 
 def octets(data: bytes) -> bytes:

@@ -63,7 +63,7 @@ def test_a_chunk_arrives_as_it_was_sent_and_no_part_of_it_does(chunk, data):
     """Every field survives up to its last value; whatever cuts a chunk off, it is refused."""
     sample = encode_chunk(chunk)
     assert decode_chunk(sample) == chunk
-    with pytest.raises(ValueError, match=r"chunk|array"):
+    with pytest.raises(ValueError, match="chunk"):
         decode_chunk(sample[: data.draw(st.integers(0, len(sample) - 1))])
 
 
@@ -80,7 +80,7 @@ def test_a_chunk_arrives_as_it_was_sent_and_no_part_of_it_does(chunk, data):
 )
 def test_a_malformed_chunk_is_refused(sample):
     """What no end sends is refused, and not put together."""
-    with pytest.raises(ValueError, match=r"chunk|array"):
+    with pytest.raises(ValueError, match="chunk"):
         decode_chunk(sample)
 
 
