@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import ExitStack, closing
+from types import SimpleNamespace
 
 import pytest
 from std_msgs.msg import Empty, String
@@ -10,7 +11,7 @@ from std_msgs.msg import Empty, String
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import RelaySettings, RelayTopic
 from arpd.relay.ends.prefix import Prefixed
-from arpd.relay.ends.topic_readers import Surveyed
+from arpd.relay.ends.topic_readers import Surveyed, TopicReaders
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
 from tests.ros.ends_world import BEST_EFFORT, RELIABLE, Counter, is_whole, latched, listen, numbers
@@ -165,6 +166,25 @@ def test_a_writer_that_no_look_finds_is_offered_by_what_heard_it():
         assert surveyed.writer(gid) is None
         surveyed.adopt(gid, (True, False, 0))
     assert [(each.gid, each.node, each.kind) for each in surveyed.writers] == [("01" * 16, "", (True, False, 0))]
+
+
+def test_a_sample_of_a_writer_that_no_look_finds_is_delivered_once():
+    """By the reader that asks for most; a best-effort reader hears a reliable writer, too."""
+    heard = []
+    readers = TopicReaders(
+        None,
+        Surveyed(View(), "/stop"),
+        String,
+        thread=None,
+        deliver=lambda writer, _sample: heard.append(writer.kind),
+        depth=None,
+        is_kept=False,
+    )
+    for kind in ((False, False, 0), (True, False, 0)):
+        readers._held.append((kind, SimpleNamespace(writer=bytes(16)), time.monotonic() - 1.0))
+    for _look in range(3):
+        readers.follow(())
+    assert heard == [(True, False, 0)]
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
@@ -15,7 +14,7 @@ from rclpy.qos import QoSLivelinessPolicy, QoSProfile
 from arpd.model.settings import DEFAULT_RELAY_DEPTH
 from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.ends.types import MOST_BYTES, held_depth
-from arpd.ros.graph import policies_of
+from arpd.ros.graph import Endpoint, policies_of
 from arpd.ros.raw_reader import RawReader, ReadingThread, Sample
 from arpd.ros.rcl import InvalidHandle, status_of
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from arpd.relay.ends.offers import WriterClass
-    from arpd.ros.graph import Endpoint, GraphView
+    from arpd.ros.graph import GraphView
 
 _NAMELESS_S = 2.0  # a writer without a node for so long never has one
 _REMEMBERED_S = 30.0  # a writer that left
@@ -82,9 +81,18 @@ class Surveyed:
         """Offer a writer that had left before a look found it, as one of no node, by the class that heard it."""
         is_reliable, is_latched, lease_ns = kind
         with self._lock:
-            if gid not in {*self.known, *self._unnamed_s} and gid[:12] not in self._view.ours:
-                offer = WriterOffer(node="", gid=gid.hex(), is_reliable=is_reliable, is_latched=is_latched)
-                self.known = {**self.known, gid: replace(offer, lease_ns=lease_ns, is_manual=lease_ns > 0)}
+            is_ours = Endpoint(gid=gid).participant in self._view.ours
+            if is_ours or gid in self.known or gid in self._unnamed_s:
+                return
+            offer = WriterOffer(
+                node="",
+                gid=gid.hex(),
+                is_reliable=is_reliable,
+                is_latched=is_latched,
+                lease_ns=lease_ns,
+                is_manual=lease_ns > 0,
+            )
+            self.known = {**self.known, gid: offer}
         self._read()
 
     def _read(self) -> None:
@@ -219,10 +227,12 @@ class TopicReaders:
         unknown: set[bytes] = set()
         for _ in range(len(self._held)):
             kind, sample, at_s = self._held.popleft()
-            if now_s - at_s >= _GONE_S:
-                heard = {each_kind for each_kind, each, _ in self._held if each.writer == sample.writer}
-                self._topic.adopt(sample.writer, max(heard | {kind}))
             if sample.writer in unknown or not self._deliver(kind, sample):
                 unknown.add(sample.writer)
                 if now_s - at_s < _HELD_S:
                     self._held.append((kind, sample, at_s))
+        kinds: dict[bytes, WriterClass] = {}  # of each writer the most that heard it
+        for kind, sample, _ in self._held:
+            kinds[sample.writer] = max(kind, kinds.get(sample.writer, kind))
+        for gid in {sample.writer for _, sample, at_s in self._held if now_s - at_s >= _GONE_S}:
+            self._topic.adopt(gid, kinds[gid])
