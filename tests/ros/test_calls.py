@@ -5,6 +5,7 @@ import signal
 import time
 from dataclasses import replace
 
+import pytest
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, ActionServer, CancelResponse
@@ -18,6 +19,7 @@ from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
 
+from arpd.model.plan import TopicPlan
 from arpd.relay.calls import CallBook, Kind, Record
 from arpd.relay.ends.offers import ServiceOffer
 from arpd.relay.ends.services import GhostServer, LocalClient
@@ -27,7 +29,7 @@ from arpd.ros.names import PRICE_TOPIC
 from arpd.ros.price_message import encode_price
 from arpd.ros.raw_reader import ReadingThread
 from tests.ros.ends_world import RELIABLE, Stranger, listen
-from tests.ros.world import FREE
+from tests.ros.world import FREE, TERMS, Announced, Plans, costing
 
 
 class Doubler:
@@ -102,14 +104,19 @@ def test_a_small_call_waits_behind_no_large_one(world, eventually):
     goal = user.create_publisher(String, "/goal", 1)  # by a topic an end learns the price
     eventually("a topic crosses", lambda: goal.publish(String()) or goals)
     daemon = ends.side("link").node("daemon")
-    prices = daemon.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
-    price = Float64MultiArray(data=encode_price(replace(FREE, capacity_bytes_per_second=250e3)))
-    daemon.create_timer(0.1, lambda: prices.publish(price))
-    eventually("both ends hear the price", lambda: prices.get_subscription_count() == 2)
+    told, prices = Announced(daemon), daemon.create_publisher(Float64MultiArray, PRICE_TOPIC, 1)
+    row = TopicPlan(rate_hz=100.0, min_rate_hz=0.0, deadline_ns=0, depth=10, **TERMS)
+    Plans(daemon)(1, {"/goal": row})
+    slow_link = replace(costing(5.0), capacity_bytes_per_second=50e3, spare_share=0.5)  # a megabyte takes half a minute
+    price = [slow_link]
+    daemon.create_timer(0.1, lambda: prices.publish(Float64MultiArray(data=encode_price(price[0]))))
+    rates_hz = [pytest.approx(slow_link.rate_hz(row))]
+    eventually("the price is in force", lambda: [each.paced_rate_hz for each in told.states] == rates_hz)
     large = slow.call_async(SetCameraInfo.Request(camera_info=CameraInfo(d=[0.0] * 125_000)))
-    time.sleep(1.0)
+    time.sleep(1.0)  # without which the small ones might leave first
     assert [doubled(fast, number, eventually) for number in (1, 2)] == [2, 4]
     assert not large.done()
+    price[0] = replace(FREE, spare_share=1.0)
     finished(eventually, large)
 
 
