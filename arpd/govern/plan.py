@@ -31,6 +31,7 @@ _LEAST_SLACK_NS = 10_000_000
 # The ceiling is above the source's rate, so jitter and a little growth are not throttled. More growth is a change of
 # demand, and causes a new plan.
 _SOURCE_MARGIN = 1.25
+_SIX_DIGITS = 1e-4  # which a snapshot has of a rate and of the lease
 
 
 class Move(IntEnum):
@@ -175,9 +176,6 @@ class Wanted:
         if kept.weight > 0 and kept.packets:  # a size includes the heartbeats of a sample, which depend on the rate
             row = replace(row, wire_bytes=kept.wire_bytes, packets=kept.packets)
         return self.with_qos_of(row, name, kept)
-
-
-_SIX_DIGITS = 1e-4  # rates and leases are told so
 
 
 class Progress(NamedTuple):

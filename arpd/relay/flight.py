@@ -235,7 +235,8 @@ class Flight:
         self._sent: deque[_Sent] = deque()
         self._bytes = self._counted = 0
         self._arrivals: deque[tuple[int, int]] = deque()  # time at the receiver (µs) and bytes until then
-        self._queue_s = self._rate = 0.0  # the second at which chunks arrive (bytes/s)
+        self._queue_s = 0.0
+        self._rate = 0.0  # at which chunks arrive (bytes/s)
         self._bound()
 
     def believe(self, capacity: float, *, is_lossy: bool) -> None:

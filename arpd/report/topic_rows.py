@@ -60,7 +60,7 @@ class Topic:
     @property
     def wanted_hz(self) -> float:
         """Rate of its source, or less where the configuration says so (Hz)."""
-        return min(self.confirmed.source_rate_hz, self.planned.max_rate_hz if self.planned else math.inf)
+        return _wanted_hz(self.confirmed, self.planned)
 
     @property
     def allowed_hz(self) -> float:
@@ -77,7 +77,7 @@ def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
         planned, allocation = snapshot.decision.plan.topics.get(topic), by_topic.get(topic)
         kept = 1.0
         if planned and allocation and publisher.source_rate_hz > 0 and allocation.binding in _OF_THE_LINK:
-            kept = min(1.0, allocation.rate_hz / min(publisher.source_rate_hz, planned.max_rate_hz))
+            kept = min(1.0, allocation.rate_hz / _wanted_hz(publisher, planned))
         rows.append(
             Topic(
                 topic=topic,
@@ -91,3 +91,7 @@ def topic_rows(snapshot: Snapshot) -> tuple[Topic, ...]:
             )
         )
     return tuple(rows)
+
+
+def _wanted_hz(publisher: PublisherState, planned: TopicPlan | None) -> float:
+    return min(publisher.source_rate_hz, planned.max_rate_hz if planned else math.inf)

@@ -62,7 +62,7 @@ class GhostNodes:
         with self._lock:
             if name not in {"", self._node.get_fully_qualified_name(), *self._ghosts}:
                 namespace, _, base = name.rpartition("/")
-                # A foreign middleware may have names that rcl refuses.
+                # Another middleware may have names that rcl refuses.
                 with suppress(NameValidationException, RuntimeError):
                     self._ghosts[name] = rclpy.create_node(
                         base,

@@ -417,7 +417,7 @@ def test_odd_evidence_makes_no_nonsense(ticks):
 
 
 def test_another_overhead_of_a_packet_leaves_no_capacity_that_the_one_before_made():
-    """Where a reload takes a packet overhead back, by which trains read fast, the link is measured anew."""
+    """With an overhead trains read higher; when a reload takes it back, the link is measured again."""
     link = Link().measured()
     link.estimator.reconfigure(LinkSettings(initial_capacity_bytes_per_second=FIRST, packet_overhead_s=0.0005))
     link.ticks(3, trains=[FIRST])
