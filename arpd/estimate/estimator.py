@@ -225,15 +225,19 @@ class Estimator:
         pinged, self._pinged = self._pinged, []
         if self._is_silent:
             return  # silence is no capacity; without a peer, `_judge_alone` learns
-        seen = ""
-        for rate, is_bound in self._trains.take(packet_overhead_s=self._overhead_s):
+        seen, leap = "", self._trains.leap
+        is_known = self._stated.kind is CapacityKind.PEER
+        believed = self._stated.capacity if is_known else math.inf
+        for rate, is_bound in self._trains.take(packet_overhead_s=self._overhead_s, believed=believed):
             if not is_bound or rate > self._stated.capacity:  # that it carries less than is believed is no news
                 self._stated.belief.wait(now_s)
                 (self._stated.belief.carried if is_bound else self._stated.belief.train)(rate)
             seen = f"trains see {format_rate(rate)}{' or more' * is_bound}"
+        if self._trains.leap not in {None, leap}:
+            self._schedule.repeat_train()
         shown = self._weigh_delivery(now_s, pinged, has_reports=has_reports)
         # Beside a queue that stands no train leaves, and what is delivered is the capacity.
-        is_measured = self._stated.kind is CapacityKind.PEER or self._trains.count >= _ENOUGH_TRAINS
+        is_measured = is_known or self._trains.count >= _ENOUGH_TRAINS
         why = "; ".join(filter(None, (seen, shown)))
         if why and (is_measured or self._queues.stays_s(parameters.STANDING_S) > self._queue_low_s):
             self._stated.follow(now_s, CapacityKind.PEER, why)

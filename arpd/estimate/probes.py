@@ -52,6 +52,10 @@ class ProbeSchedule:
         """Let the next ping leave at once."""
         self._ping_at_s = -math.inf
 
+    def repeat_train(self) -> None:
+        """Let the next train leave at once; calm ones pay for it."""
+        self._train_at_s = -math.inf
+
     def wanted(
         self,
         now_s: float,

@@ -16,6 +16,7 @@ _PAIRS, _LEAST_PAIRS = 15, 5
 _SLOWER = 2.0  # a pair counts up to this multiple of the present packet time
 _MOST_OVERHEAD = 0.8
 _LATE = 3  # large trains whose fastest one counts
+_LEAP = 2.0  # times what is believed: a receiver that slept stamps the packets it finds at its own pace
 # Jitter alone reads as less than these; 802.11 spends at least 100 us on a packet.
 _LEAST_OVERHEAD_S = 50e-6
 _LEAST_OVERHEAD = 0.03  # of the time a large packet takes
@@ -54,6 +55,7 @@ class TrainLog:
     ----------
     count : readings of large packets since `clear`
     newest_s : time of the newest of them (s)
+    leap : bound that the newest of them saw, while it is far above what was believed, and the next has to confirm it
     """
 
     def __init__(self) -> None:
@@ -62,6 +64,7 @@ class TrainLog:
         self._last_packet_s = 0.0  # of the last large train; outlives `clear`
         self._pairs: deque[_Pair] = deque(maxlen=_PAIRS)
         self.count, self.newest_s = 0, -math.inf
+        self.leap: Seen | None = None
 
     def note(self, train: Train, now_s: float, *, copies: int = 1) -> None:
         """Note a train of a report; each of its packets crossed the link ``copies`` times, once per peer."""
@@ -83,19 +86,31 @@ class TrainLog:
             excess = reading.packet_s * large.packet_bytes - least_s * reading.packet_bytes
             self._pairs.append(_Pair(excess / (large.packet_bytes - reading.packet_bytes), is_bound, least_s))
 
-    def take(self, *, packet_overhead_s: float) -> list[Seen]:
-        """Return what large trains saw since the last call, C = s / (T − t_ovh)."""
+    def take(self, *, packet_overhead_s: float, believed: float) -> list[Seen]:
+        """Return what large trains saw since the last call, C = s / (T − t_ovh).
+
+        Parameters
+        ----------
+        believed : capacity; a bound far above it counts once the next train has seen so, too (bytes/s)
+        """
         fresh, self._fresh = self._fresh, []
-        return [
-            Seen(each.packet_bytes / max(each.packet_s - packet_overhead_s, 0.1 * each.packet_s), each.is_bound)
-            for each in fresh
-        ]
+        taken: list[Seen] = []
+        for each in fresh:
+            free_s = max(each.packet_s - packet_overhead_s, 0.1 * each.packet_s)
+            seen, before, self.leap = Seen(each.packet_bytes / free_s, each.is_bound), self.leap, None
+            if not seen.is_bound or seen.rate <= _LEAP * believed:
+                taken.append(seen)
+            elif before is None:
+                self.leap = seen
+            else:
+                taken += [before, seen]
+        return taken
 
     def clear(self) -> None:
         """Forget the capacities; the overhead of a packet depends on the radio, and stays."""
         self._large.clear()
         self._fresh.clear()
-        self.count, self.newest_s = 0, -math.inf
+        self.count, self.newest_s, self.leap = 0, -math.inf, None
 
     @property
     def packet_overhead_s(self) -> float:

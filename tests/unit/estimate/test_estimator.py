@@ -191,6 +191,22 @@ def test_where_reports_are_rare_one_lost_report_is_no_outage(rises):
     assert link.ticks(3, silent=True).state is LinkState.OUTAGE
 
 
+def test_a_train_that_leaps_is_asked_for_again_before_it_counts():
+    """A receiver that slept stamps a train at its own pace: the next train comes soon, and only both together count."""
+    fast = Train(payload_bytes=SIZE, duration_s=SIZE / (8 * FIRST), packets=PACKETS, sent_s=SIZE / (9 * FIRST))
+    link = Link().measured()
+    link.ticks(40, trains=[FIRST])
+    link.ticks(25)
+    assert link.tick(trains=[fast]).capacity_bytes_per_second == about(FIRST)
+    link.probes.clear()
+    asked_s = link.now_s
+    assert link.ticks(6).capacity_bytes_per_second == about(FIRST)
+    assert [at_s - asked_s < 0.3 for at_s, probe in link.probes if probe.packet_bytes == 1_200] == [True]
+    assert link.tick(trains=[FIRST]).capacity_bytes_per_second == about(FIRST)
+    assert link.tick(trains=[fast]).capacity_bytes_per_second == about(FIRST)
+    assert link.tick(trains=[fast]).capacity_bytes_per_second > 6 * FIRST
+
+
 @pytest.mark.parametrize("part", [0.2, 1.0, 3.0])
 def test_after_an_outage_two_trains_show_the_link(part):
     """An outage may end on another link, so the estimate is less certain then, and a few trains decide."""

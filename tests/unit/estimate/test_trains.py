@@ -1,5 +1,7 @@
 """Two packet sizes show the overhead of a packet and the capacity: exactly on an ideal link, despite bad trains."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,11 +53,12 @@ def test_pairs_tell_capacity_and_overhead_exactly(link, copies):
     for _ in range(PAIRS):
         link.pair(copies=copies)
     assert link.log.packet_overhead_s == pytest.approx(link.overhead_s, rel=1e-6)
-    taken = [link.log.take(packet_overhead_s=link.log.packet_overhead_s) for _ in range(2)]
+    overhead_s = link.log.packet_overhead_s
+    taken = [link.log.take(packet_overhead_s=overhead_s, believed=math.inf) for _ in range(2)]
     assert [[seen.rate for seen in each] for each in taken] == [pytest.approx([link.capacity] * PAIRS, rel=1e-6), []]
     link.train(LARGE)
     link.log.clear()
-    assert link.log.take(packet_overhead_s=0.0) == []
+    assert link.log.take(packet_overhead_s=0.0, believed=math.inf) == []
 
 
 @given(LINKS, st.lists(st.floats(0.0, 0.99), min_size=4, max_size=10))
