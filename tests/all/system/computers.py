@@ -31,6 +31,7 @@ OURS = (
     "/usr/lib/arpd",
     "/usr/lib/python3",
     "/usr/lib/systemd",
+    "/usr/lib/sysctl.d",
     "/usr/lib/sysusers.d",
     "/usr/local",
     "/usr/share",

@@ -87,6 +87,9 @@ def test_a_fresh_computer_has_arpd_and_runs_nothing(fresh):
     assert booted.call("arpd", "--version").stdout == f"arpd {VERSIONS['first']}\n"
     for placed, name in AS_IN_THE_SOURCE.items():
         assert booted.call("diff", "-r", f"/usr/share/{placed}", f"{SOURCE}/{name}").returncode == 0
+    # The kernel's own word would be the test machine's.
+    read_at_boot = booted.call("systemd-analyze", "cat-config", "sysctl.d").stdout
+    assert "net.core.rmem_default = 8388608\n" in read_at_boot
     assert booted.call("man", "--where", "1", "arpd").stdout == "/usr/share/man/man1/arpd.1.gz\n"
     systemd = int(booted.call("systemctl", "--version").stdout.split()[1])
     assert any(path.endswith("/10-notify-reload.conf") for path in fresh.named_arpd()) == (systemd >= 253)
