@@ -187,7 +187,8 @@ class Daemon:
             lasting=lasting,
             topics=topics,
             publishers=seen.publishers,
-            participants=max(1, seen.remote_participants),
+            # Between two ends nothing is swapped on the link: the relay's queue takes a plan as it is.
+            participants=max(1, seen.remote_participants) if self.settings.relay.link_domain is None else 0,
         )
         shown = progress(seen.publishers, decision.plan, lease_s=self.settings.lease_s)
         self._world.apply(decision.plan, lease_s=self.settings.lease_s, missing=shown.missing, now_s=seen.now_s)

@@ -12,7 +12,7 @@ from arpd.daemon.tick import Daemon
 from arpd.model.endpoints import Direction
 from arpd.model.link import LinkState
 from arpd.model.plan import MOST_GENERATION
-from arpd.model.settings import LinkSettings, Settings
+from arpd.model.settings import LinkSettings, RelaySettings, Settings
 from arpd.report.situation import status_line
 from arpd.solve.program import Program
 from tests.sample_publishers import publisher
@@ -223,3 +223,17 @@ def test_the_price_follows_the_link_within_a_tick():
     row = daemon.snapshot.decision.plan.topics[TOPIC]
     assert (first.rate_hz(row), daemon.snapshot.decision.reason) == (row.rate_hz, "")
     assert 0.84 * 4e4 < last.rate_hz(row) * row.wire_bytes <= 4e4
+
+
+@pytest.mark.parametrize(("link_domain", "is_postponed"), [(None, True), (77, False)])
+def test_between_two_ends_the_plan_of_many_topics_waits_for_no_budget_of_swaps(link_domain, is_postponed):
+    """The relay's queue takes a plan as it is, so 300 topics get theirs at once; nodes of their own swap in turn."""
+    topics = [f"/t{number}" for number in range(300)]
+    world = World(*(publisher("/arpd_relay", topic, source_rate_hz=2.0, remote_readers=1) for topic in topics))
+    settings = Settings(relay=RelaySettings(link_domain=link_domain))
+    daemon: Any = Daemon(world, settings, clock=lambda: 0.0, estimator=KnownLink(2.5e6))
+    for tick in range(40):
+        daemon.tick(0.1 * tick)
+    deadlines = [each.deadline_ns > 0 for each in world.publishers.values()]
+    assert any(deadlines)
+    assert (daemon.snapshot.decision.is_postponed, all(deadlines)) == (is_postponed, not is_postponed)
