@@ -7,6 +7,7 @@ import logging
 import os
 import ssl
 from contextlib import suppress
+from socket import gaierror
 from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import ValidationError
@@ -203,9 +204,12 @@ def _no_answer(url: str, error: Exception) -> DaemonUnreachableError:
         is_late = isinstance(error, (TimeoutError, HTTPTimeoutError))
         reason = "timed out" if is_late else getattr(error, "strerror", None) or error
         hint = "is it running (systemctl status arpd), and do its http.host and http.port name this address?"
-        hint += " Does it speak https?" if is_late and url.lower().startswith("https:") else ""
-        why = f"no daemon answers at {url} ({reason}); {hint}"
-        return NoAnswerError(why, url=url, is_late=is_late)
+        why = f"no daemon answers at {url} ({reason}); "
+        if isinstance(error, gaierror):
+            return DaemonUnreachableError(f"{why}write its address in --url, or a name that `getent hosts` knows here")
+        if is_late and url.lower().startswith("https:"):  # a server without TLS waits for the rest of a request
+            return DaemonUnreachableError(f"{why}{hint} Does it speak https? Without TLS, write http:// in --url")
+        return NoAnswerError(f"{why}{hint}", url=url, is_late=is_late)
     else:
         hint = "" if url.lower().startswith("https:") else "; if the daemon has TLS, write https:// in --url"
         why = f"no whole answer from {url} (it speaks no HTTP, or its answer broke off){hint}"

@@ -115,6 +115,26 @@ def test_it_exits_3_when_nothing_answers_and_says_why(run, monkeypatch, robot, o
     assert said not in run("status", "--url", "http://robot.invalid:9464")[2]
 
 
+def test_a_name_that_nobody_knows_is_no_daemon_that_does_not_run(run, monkeypatch):
+    """Where no name server knows the robot, its unit and its port are not what to look at."""
+
+    def lookup(*_args, **_options):
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", lookup)
+    code, _, err = run("status", "--url", "http://robot.example:9464")
+    assert (code, "getent hosts" in err, "is it running" in err) == (3, True, False), err
+
+
+def test_https_to_a_daemon_without_tls_does_not_call_it_busy(run, monkeypatch):
+    """It waits for the rest of what is no request: the thing to do is to write http://, whatever its unit says."""
+    monkeypatch.setattr(client, "_DEADLINE_S", 0.3)
+    monkeypatch.setattr("arpd.host.services.service_states", lambda *_names: {"arpd": unit("active")})
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        code, _, err = run("status", "--url", f"https://127.0.0.1:{server.getsockname()[1]}")
+    assert (code, "write http://" in err, "too busy" in err) == (3, True, False), err
+
+
 @contextmanager
 def trickling(line):
     """Answer the line, then bytes of the body one by one, for as long as somebody reads them."""
