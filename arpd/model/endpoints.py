@@ -192,8 +192,8 @@ class FlowState:
     published : samples written to the link
     withheld : samples that did not leave: replaced by newer ones, or given up
     queued : samples waiting in the pacing queue now
-    blocked_s : time spent inside the middleware's ``publish()`` since start (s). Writes of a relay's two ends never
-        block: there it is the time in which something waited because enough was on its way
+    blocked_s : time spent inside the middleware's ``publish()`` since start (s); with two ends of a relay no
+        write blocks
     rate_hz, depth, deadline_ns : settings in force; ``rate_hz`` is the ceiling, ``inf`` = unpaced, and ``deadline_ns``
         0 = infinite
     paced_rate_hz : rate that the price leaves the publisher now, ``inf`` = unpaced (Hz)

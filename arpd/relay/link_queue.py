@@ -72,7 +72,6 @@ class LinkQueue(PacedQueue):
     Attributes
     ----------
     flight : what is on its way
-    held_s : time in which something waited for receipts: the link takes no more (s)
     """
 
     _heartbeat_s = LINK_HEARTBEAT_S
@@ -103,8 +102,6 @@ class LinkQueue(PacedQueue):
         self._is_answering = False  # a probe wants its receipt
         self._partner = 0  # session of the other end
         self._partner_s = -math.inf  # when that was heard last
-        self._held_since_s: float | None = None
-        self.held_s = 0.0
         self._adapt(None)
 
     # -- signs of life and receipts
@@ -127,12 +124,6 @@ class LinkQueue(PacedQueue):
     def sign_s(self) -> float:
         """When `take_sign` may have something, or the link is out, unless a receipt comes before (s)."""
         return min(self._sign_s, self._received.due_s(), max(self.flight.out_s, self._probe_s))
-
-    def note_held(self, now_s: float) -> None:
-        """Count the time in which something waits for receipts; called whenever that may change."""
-        if self._held_since_s is not None:
-            self.held_s += now_s - self._held_since_s
-        self._held_since_s = now_s if self._active and not self._has_room() else None
 
     def follow(self, partner: int, now_s: float) -> bool:
         """Take the session of the other end, 0 = none; return whether it is new, and knows nothing of what was sent."""

@@ -95,7 +95,6 @@ class SimulatedEnd(SimulatedThread):
                 ready.lane.write(ready.sample)
             else:
                 break
-        self.queue.note_held(now_s)
         self._alarm.set_by(min(self.queue.sign_s, self.queue.due_s(now_s)))
 
 
@@ -135,8 +134,7 @@ class SimulatedLinkTopic(SimulatedSource):
 
     def state(self) -> PublisherState:
         """Return the state to announce."""
-        flow = self._lane.state(self.timeline.now_s)
-        return self.told(replace(flow, blocked_s=self._end.queue.held_s))
+        return self.told(self._lane.state(self.timeline.now_s))
 
     def result(self) -> TopicResult:
         """Return the result of the run."""

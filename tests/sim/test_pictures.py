@@ -5,6 +5,7 @@ import pytest
 from arpd.daemon.scenario import Scenario
 from arpd.model.endpoints import Direction
 from arpd.model.settings import RelaySettings, Settings
+from arpd.sim.ends import SimulatedLinkTopic
 from arpd.sim.link import LinkModel
 from arpd.sim.result import SimTopic
 from arpd.sim.schedule import RateSchedule, outages
@@ -56,3 +57,13 @@ def test_after_an_outage_of_two_ends_no_old_command_runs():
         late = 3.0 * topic.source_rate_hz
         assert topic.withheld > 0.8 * late
         assert topic.reordered == topic.doubled == 0
+
+
+def test_two_ends_say_of_no_topic_that_its_writes_block(monkeypatch):
+    """Nothing of theirs waits in publish(), also in an outage, so no alert may say that a node does."""
+    told, state = [], SimulatedLinkTopic.state
+    monkeypatch.setattr(SimulatedLinkTopic, "state", lambda topic: told.append(state(topic)) or told[-1])
+    model = LinkModel(losses=outages((8.0, 12.0)))
+    Scenario(ENDS, RateSchedule.parse("0:5mbit"), 15.0, model=model, topics=TOPICS).play()
+    assert told
+    assert {each.blocked_s for each in told} == {0.0}

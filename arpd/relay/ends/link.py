@@ -135,9 +135,7 @@ class LinkThread(WritingThread):
         if self._state is not None and now_s < self.queue.flight.out_s:
             state, self._state = self._state, None
             return partial(self._write_state, wrap(state))
-        act = super()._choose(now_s)
-        self.queue.note_held(now_s)
-        return act
+        return super()._choose(now_s)
 
     def _due_s(self, now_s: float) -> float:
         return min(self.queue.sign_s, super()._due_s(now_s))
@@ -327,12 +325,11 @@ class LinkTopic(Carried):
 
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
-        flow = self._lane.state(time.monotonic()).counted()
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self.topic_name,
             type_name=type_name_of(UInt8MultiArray),
             direction=Direction.LOCAL,
             baseline_depth=self.baseline.depth,
-            **{**flow, "blocked_s": self._thread.queue.held_s},
+            **self._lane.state(time.monotonic()).counted(),
         )
