@@ -165,7 +165,7 @@ def address(here: Here) -> Finding:
     if own and not kernel.is_own_address(own):
         return wrong(
             f"{own} is no address of this computer, though relay.{'base' if here.is_far else 'robot'} says so",
-            "ip -4 -br address   # shows those it has; correct the files of both, then: sudo systemctl restart 'arpd*'",
+            "ip -4 -br address   # correct both files, then: sudo systemctl restart 'arpd*'; start your nodes again",
         )
     if addresses := ipv4_addresses().get(interface):
         return fine(f"{interface} has {listed(sorted(addresses))}")

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from arpd.report.snapshot import Snapshot
 
 _LIST = "arpd topics lists what there is"
+# DDS in nodes that stay on their host finds nobody by an address that has gone.
 _ENVIRONMENT = (
+    " (again, if an address of its computer has changed since)"
     " with the ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and FASTDDS_BUILTIN_TRANSPORTS of /etc/default/arpd"
 )
 
@@ -101,7 +103,7 @@ def _of_two_ends(relay: RelaySummary | None) -> str:
         beside = " beside those that it refuses" if relay.to_base.refused or relay.to_robot.refused else ""
         could = f"the relay could carry {count(offered, 'topic')}{beside}, and no node on the other side reads one"
         return f"{could}; start a reader there{_ENVIRONMENT}; {_LIST}"
-    return f"the relay finds no topic on either side; start your nodes{_ENVIRONMENT}"
+    return f"the relay finds no topic on either side; start each of your nodes{_ENVIRONMENT}"
 
 
 def _where(snapshot: Snapshot) -> str:

@@ -240,6 +240,15 @@ def starting(settings=None, **observation):
     )
 
 
+@pytest.mark.parametrize("topics", [RelayTopics(offered=2), RelayTopics()])
+def test_nodes_that_ran_before_an_address_changed_must_start_again(topics):
+    """They run, and the relay's end, which has started again, never finds them."""
+    relay = RelaySummary(is_reachable=True, other_host="base", to_base=topics, to_robot=RelayTopics())
+    verdict = judge(starting(TWO_ENDS, relay=relay)).verdict
+    assert verdict.condition is Condition.NOTHING_TO_MANAGE
+    assert "(again, if an address of its computer has changed since)" in verdict.text
+
+
 def of_relay(**fields):
     return RelaySummary(**{"other_host": "laptop", "is_reachable": True, **fields})
 
