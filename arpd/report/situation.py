@@ -226,7 +226,9 @@ def _course(snapshot: Snapshot, rows: Sequence[Topic], slowed: Sequence[Topic]) 
             yield Finding(Condition.NOTHING_TO_MANAGE, waiting.topics(snapshot))
         return
     if _is_draining(snapshot):
-        yield Finding(Condition.QUEUE, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short")
+        is_pinned = snapshot.settings.link.capacity_bytes_per_second is not None
+        hint = "; if it stays, link.capacity pins more than the link carries" if is_pinned else ""
+        yield Finding(Condition.QUEUE, f"{_queue(snapshot)}; {_budget(snapshot)} until the queue is short{hint}")
     if not slowed:
         carries = format_rate(snapshot.link.capacity_bytes_per_second)
         now = _unmeasured(snapshot) or _queue_and_loss(snapshot)

@@ -101,6 +101,14 @@ def test_the_condition_that_matters_most_is_the_verdict(change, condition, words
     assert words in verdict.text
 
 
+@pytest.mark.parametrize("settings", [Settings(), Settings(link=LinkSettings(capacity_bytes_per_second=1e6))])
+def test_a_queue_that_stays_names_a_capacity_that_is_pinned_too_high(settings):
+    """Nothing corrects such a capacity, so the queue comes back for ever."""
+    verdict = judge(changed(link={"state": LinkState.CONGESTED}, settings=settings)).verdict
+    assert verdict.condition is Condition.QUEUE
+    assert ("link.capacity pins more than the link carries" in verdict.text) is (settings != Settings())
+
+
 def test_faults_stand_beside_the_verdict_the_worst_first():
     """Ticks, configuration, relay, confirmation and keys that need a restart; all but the last are wrong."""
     refused = {"to_base": {"/scan": "two types"}, "to_robot": {"/cmd": "not let in"}}
