@@ -110,7 +110,8 @@ class Governor:
             self._now_sharing = lasting.uniform.topics if lasting.uniform else 0
             cause = self._follow_memory() or self._follow(state)
             self._is_postponed |= bool(self._owed)
-        return Decision(allowed=_allowed(rates, topics), plan=self.plan, reason=cause, is_postponed=self._is_postponed)
+        allowed = _allowed(rates, topics, is_out=state is LinkState.OUTAGE)
+        return Decision(allowed=allowed, plan=self.plan, reason=cause, is_postponed=self._is_postponed)
 
     def _give_back(self, state: LinkState, publishers: Sequence[PublisherState]) -> str:
         """Give topics that cross the link no more their application's QoS back; return the cause, empty without a plan.
@@ -299,12 +300,12 @@ class Governor:
         }
 
 
-def _allowed(rates: Allocation, topics: Sequence[Topic]) -> float:
-    """Return the part of the traffic above the floors that the price allows; 1 where there is none."""
+def _allowed(rates: Allocation, topics: Sequence[Topic], *, is_out: bool) -> float:
+    """Return the part of the traffic above the floors that the price allows; where there is none, what it would be."""
     wanted = sum(topic.wire_bytes * max(0.0, topic.desired_rate_hz - topic.min_rate_hz) for topic in topics)
     pairs = zip(rates.topics, topics, strict=True)
     allowed = sum(topic.wire_bytes * max(0.0, row.rate_hz - topic.min_rate_hz) for row, topic in pairs)
-    return min(1.0, allowed / wanted) if wanted > 0 else 1.0
+    return min(1.0, allowed / wanted) if wanted > 0 else float(not is_out)
 
 
 def _differ(planned: float, now: float) -> bool:

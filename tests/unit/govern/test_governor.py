@@ -106,6 +106,13 @@ def qos(plan):
     return {name: row.qos for name, row in plan.topics.items()}
 
 
+@pytest.mark.parametrize(("state", "allowed"), [(LinkState.OUTAGE, 0.0), (LinkState.STEADY, 1.0)])
+def test_where_nobody_sends_above_its_floor_an_outage_allows_nothing(state, allowed):
+    """In an outage the topics may be unknown, and a gauge at 100 % would stand beside a link that carries nothing."""
+    run = Run(topics=())
+    assert {decision.allowed for decision in run.ticks(1.0, state=state)} == {allowed}
+
+
 # -- plans for topics
 
 
