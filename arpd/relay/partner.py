@@ -14,6 +14,7 @@ EVERY_S = 1.0  # each end says that often that it lives
 REPLACED_S = 1.5  # one sign of life missed, and another process speaks for the end
 _SILENT_S = 3.5  # three of them missed
 _GONE_S = 30.0  # an outage of a Wi-Fi link mostly takes less
+_DEAF_S = 20.0  # an end that is heard hears in turn within the 9 s of an announcement
 
 
 class Partner:
@@ -35,6 +36,8 @@ class Partner:
         self._states: dict[int, EndState] = {}  # newest of each session
         self._heard_s: dict[int, float] = {}  # last sign of life of each
         self._session = 0  # in force
+        self._listener = 0  # the last session that followed this end
+        self._unheard_s = math.inf  # since when it speaks, and follows nobody
 
     def tell(self, state: EndState, now_s: float) -> None:
         """Take a state, which is a sign of life, too."""
@@ -58,7 +61,20 @@ class Partner:
         speaking = [each for each in self._states if self._spoke(each, now_s, REPLACED_S)]
         if speaking and self._session not in speaking:
             self._session = max(speaking, key=lambda each: self._heard_s[each])
-        return self._states.get(self._session) if self.is_there(now_s) else None
+        state = self._states.get(self._session) if self.is_there(now_s) else None
+        if state is not None and state.follows == self._own:
+            self._listener = state.session
+        has_lost_us = state is not None and not state.follows and state.session == self._listener
+        is_unheard = has_lost_us and self.is_reachable(now_s)
+        self._unheard_s = min(self._unheard_s, now_s) if is_unheard else math.inf
+        return state
+
+    def is_deaf(self, now_s: float) -> bool:
+        """Return whether the session in force, which has followed this end, speaks and for 20 s has followed nobody.
+
+        After an outage in which all leases ended, Fast DDS 2.14 may never tell others again which writers this end has.
+        """
+        return now_s - self._unheard_s > _DEAF_S
 
     def is_there(self, now_s: float) -> bool:
         """Return whether the session in force spoke within the time of an outage that is bridged."""

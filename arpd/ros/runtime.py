@@ -282,12 +282,12 @@ def serve_until(
 ) -> None:
     """Run a service in this thread, which systemd hears of, with a watchdog, until ``stopping`` is set.
 
-    Raises LinkError if only a new process can use the link's address.
+    Raises LinkError if only a new process can use the link, or its address.
 
     Parameters
     ----------
     parts : as `Watchdog` has them
-    step : called again and again; where it fails, the watchdog is not fed
+    step : called again and again; where it fails, the watchdog is not fed, and a LinkError ends the service
     every_s : time between two calls, a tenth of a second or more (s)
     """
     heartbeat, due_s = Watchdog(notifier, parts=parts), -math.inf
@@ -299,6 +299,8 @@ def serve_until(
                 try:
                     step()
                     heartbeat.beat()
+                except LinkError:
+                    raise
                 except Exception:
                     log.exception("a step failed; the service continues")
             if addresses.are_outdated():

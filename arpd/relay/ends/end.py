@@ -17,6 +17,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd import __version__
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.host.discovery import AnnouncedParticipants
+from arpd.model.errors import LinkError
 from arpd.model.relay import RelaySummary
 from arpd.relay.ends.calls import Calls
 from arpd.relay.ends.ghosts import GhostNodes
@@ -162,12 +163,17 @@ class End:
     # -- one tick
 
     def tick(self) -> None:
-        """Follow the graph and the other end; call it ten times a second."""
+        """Follow the graph and the other end; call it ten times a second.
+
+        Raises LinkError if the other end hears only a new process.
+        """
         now_s = lasting_s()
         # Before it hears what came since: while this computer slept, the other end has forgotten it.
         was_there = self._partner.is_there(now_s)
         self._hear(now_s)
         state = self._partner.look(now_s)
+        if self._partner.is_deaf(now_s):
+            raise LinkError(f"{self._sought} is heard, and hears this process no more; start it again")
         there, is_due = (was_there and state) or NOBODY, now_s >= self._look_s
         if is_due:
             self._look_s = now_s + _LOOK_S

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import pytest
+
 from arpd.relay.ends.offers import EndState
 from arpd.relay.partner import Partner
 
@@ -64,3 +66,21 @@ def test_a_second_end_on_a_host_follows_nobody_while_the_first_one_lives():
     assert partner.elsewhere(120.0) == ["one"]
     partner.tell(free := replace(ONE, follows=""), 121.0)
     assert partner.look(121.0) is free
+
+
+@pytest.mark.parametrize(
+    ("followed", "hears", "is_deaf"), [(True, False, True), (True, True, False), (False, False, False)]
+)
+def test_an_end_that_speaks_and_hears_nothing_any_more_is_deaf(followed, hears, is_deaf):
+    """It was followed before, an outage is over, and 20 s later the other end still follows nobody."""
+    partner, follows = Partner(own=OWN), replace(ONE, follows=OWN)
+    partner.tell(follows if followed else ONE, 0.0)
+    partner.look(0.0)
+    partner.look(60.0)
+    partner.tell(ONE, 60.0)
+    assert in_force(partner, ONE, from_s=60.0, to_s=79.0) is ONE
+    assert not partner.is_deaf(79.0)
+    if hears:
+        partner.tell(follows, 79.0)
+    in_force(partner, ONE, from_s=79.0, to_s=99.0)
+    assert partner.is_deaf(99.0) is is_deaf
