@@ -155,7 +155,8 @@ def _interface_fault(snapshot: Snapshot) -> str:
     if snapshot.has_interface:
         return f"{snapshot.interface} {fault}"
     what = "no link interface is there yet" if snapshot.interface == AUTO else f"{snapshot.interface} is not there yet"
-    return f"{what}; compare link.interface with what ip link lists"
+    elsewhere = "" if snapshot.link.state is LinkState.OUTAGE else ", and the peer answers over another one"
+    return f"{what}{elsewhere}; compare link.interface with what ip link lists"
 
 
 def _of_configuration(snapshot: Snapshot) -> Iterator[Finding]:

@@ -78,6 +78,11 @@ def test_a_topic_that_is_behind_is_held_to_what_it_may_have():
         ({"link": {"state": LinkState.OUTAGE}}, Condition.OUTAGE, "than its minimum rate"),
         ({"observation": {"counters": None}}, Condition.INTERFACE_DOWN, "wlan0 is gone"),
         ({"observation": {"counters": None}, "has_interface": False}, Condition.INTERFACE_DOWN, "link.interface"),
+        (
+            {"observation": {"counters": None}, "has_interface": False},
+            Condition.INTERFACE_DOWN,
+            "not there yet, and the peer answers over another one",
+        ),
         ({"link": {"state": LinkState.DRAINING}}, Condition.QUEUE, "12.5 ms of queue"),
         ({"link": {"queue_delay_s": math.nan, "state": LinkState.CONGESTED}}, Condition.QUEUE, "unknown length"),
         ({"allocation": {"budget_bytes_per_second": 1.0}}, Condition.QUEUE, "next to nothing of 4 Mbit/s"),
