@@ -187,6 +187,34 @@ def test_a_sample_of_a_writer_that_no_look_finds_is_delivered_once():
     assert heard == [(True, False, 0)]
 
 
+def test_of_new_writers_the_second_waits_until_the_first_is_known():
+    """Of two goals, each published once by a script that ends, the first may be known later; an old writer passes."""
+    heard, view, kind = [], View(), (True, False, 0)
+    gone, new, old = (bytes([n] * 16) for n in (1, 2, 3))
+    view.now = tuple(Endpoint(gid=gid, type_name="std_msgs/msg/String") for gid in (old, new))
+    readers = TopicReaders(
+        None,
+        Surveyed(view, "/goal"),
+        String,
+        thread=None,
+        deliver=lambda writer, _sample: heard.append(bytes.fromhex(writer.gid)),
+        depth=None,
+        is_kept=False,
+    )
+
+    def come(*gids):
+        readers._held.extend((kind, SimpleNamespace(writer=gid), time.monotonic()) for gid in gids)
+        readers.follow(())
+
+    come(old)
+    come(gone, new, old)
+    assert heard == [old, old]
+    readers._held.appendleft((kind, SimpleNamespace(writer=gone), time.monotonic() - 1.0))
+    readers.follow(())
+    readers.follow(())
+    assert heard == [old, old, gone, gone, new]
+
+
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):
     """A topic is carried no more once a node publishes it that reads what is republished; the others go on."""
     talking(Counter(elsewhere("plain"), String, "/chatter", 10), rate_hz=20)

@@ -163,6 +163,7 @@ class TopicReaders:
         self._followed: tuple[WriterOffer, ...] = ()
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
         self._held: deque[tuple[WriterClass, Sample, float]] = deque(maxlen=_MOST_HELD)
+        self._heard: set[bytes] = set()  # writers of which a sample was delivered
         self._lock = threading.Lock()
 
     def follow(self, writers: tuple[WriterOffer, ...]) -> None:
@@ -171,6 +172,8 @@ class TopicReaders:
             for kind in {writer.kind for writer in writers} - self._readers.keys():
                 self._readers[kind] = self._reader(kind)
             self._followed = writers
+            with self._lock:
+                self._heard &= self._topic.known.keys()
         if self._held:
             with self._lock:
                 self._deliver_held()
@@ -219,15 +222,21 @@ class TopicReaders:
         writer = self._topic.writer(sample.writer)
         if writer is not None and writer.kind == kind:
             self._deliver_one(writer, sample)
+            self._heard.add(sample.writer)
         return writer is not None
 
     def _deliver_held(self) -> None:
-        """Deliver the samples whose writer is known by now, each writer's in their order."""
+        """Deliver the samples whose writer is known by now, each writer's in their order.
+
+        So are the first samples of new writers: of two goals that scripts publish once, one after the other, the first
+        one's writer may have left before a look finds it, and the second must not come before.
+        """
         now_s = time.monotonic()
         unknown: set[bytes] = set()
         for _ in range(len(self._held)):
             kind, sample, at_s = self._held.popleft()
-            if sample.writer in unknown or not self._deliver(kind, sample):
+            waits = sample.writer in unknown or (unknown and sample.writer not in self._heard)
+            if waits or not self._deliver(kind, sample):
                 unknown.add(sample.writer)
                 if now_s - at_s < _HELD_S:
                     self._held.append((kind, sample, at_s))
