@@ -140,8 +140,9 @@ class NodePublishers:
             self._publishers.pop(publisher.topic_name, None)
 
     @property
-    def _all(self) -> tuple[Paced, ...]:
-        return tuple(self._publishers.values())  # other threads add and remove some
+    def _all(self) -> list[Paced]:
+        # Other threads add and remove some; to make a tuple would collect garbage first, and let them.
+        return [*self._publishers.values()]
 
     def hurry(self) -> None:
         """Send a snapshot soon, because a swap has ended, for example; for any thread."""

@@ -49,7 +49,7 @@ class Nodes:
     @property
     def topics(self) -> frozenset[str]:
         """Topics of all publishers; for any thread."""
-        return frozenset(row["topic"] for node in tuple(self._nodes.values()) for row in node.snapshot.publishers)
+        return frozenset(row["topic"] for node in [*self._nodes.values()] for row in node.snapshot.publishers)
 
     @property
     def left_out(self) -> Mapping[str, int]:

@@ -219,9 +219,7 @@ class RosControl:
 
     def _refused(self) -> Mapping[tuple[MessageKind, MessageRefusal], int]:
         return {
-            (kind, reason): count
-            for kind, inbox in self._inboxes.items()
-            for reason, count in tuple(inbox.refused.items())
+            (kind, reason): count for kind, inbox in self._inboxes.items() for reason, count in [*inbox.refused.items()]
         }
 
     # -- what changes slowly

@@ -1,5 +1,6 @@
 """A node takes plans from a daemon's messages, whole or not at all, with real rclpy."""
 
+import gc
 import math
 from dataclasses import replace
 from itertools import count
@@ -121,3 +122,21 @@ def test_publishers_beyond_what_a_node_may_tell_are_counted(node, announced, eve
     publishers = [AdaptivePublisher(node, String, f"/t{number}", 10) for number in range(4)]
     eventually("two are counted", lambda: [each.left_out for each in announced.snapshots] == [len(publishers) - 2])
     assert [state.topic for state in announced.states] == ["/t0", "/t1"]
+
+
+def test_a_publisher_that_comes_while_the_others_are_listed_disturbs_nothing():
+    """To make a tuple of them may collect garbage first, and then another thread runs, and makes one."""
+    publishers, before = NodePublishers.__new__(NodePublishers), gc.get_threshold()
+    publishers._publishers = dict.fromkeys(map(str, range(100)))
+
+    def make_one(phase, _info):
+        publishers._publishers |= {f"{phase}{len(publishers._publishers)}": None}
+
+    gc.callbacks.append(make_one)
+    try:
+        for threshold in range(1, 50):
+            gc.set_threshold(threshold)
+            assert len(publishers._all) >= 100
+    finally:
+        gc.callbacks.remove(make_one)
+        gc.set_threshold(*before)
