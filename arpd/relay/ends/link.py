@@ -17,9 +17,10 @@ from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.writing_thread import WritingThread
 from arpd.model.endpoints import Direction, PublisherState, WriterQos
+from arpd.model.quantities import format_size
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
 from arpd.relay.ends.outgoing import Carried
-from arpd.relay.envelope import Assembly, Chunk, Record, pack, writer_key
+from arpd.relay.envelope import MOST_MESSAGE_BYTES, Assembly, Chunk, Record, pack, writer_key
 from arpd.relay.link_queue import LinkQueue
 from arpd.relay.sets import Sets
 from arpd.ros.cdr import wrap
@@ -239,6 +240,7 @@ class LinkTopic(Carried):
         members = next((group.topics for group in settings.groups if group.name == topic), ())
         self._members = {member: place for place, member in enumerate(members)}
         self._sets = Sets((), on_drop=on_drop) if members else None
+        self._logged = OncePerMinute()
         self._lock = threading.Lock()  # guards the sets: who learns the name of a writer sends, too
         self._node, self._thread = node, thread
         self._view = GraphView.of(node)
@@ -294,7 +296,11 @@ class LinkTopic(Carried):
             with self._lock:
                 source, records = b"", self._sets.add(self._members[topic], record)
         if records:
-            self._thread.offer(self._lane, pack(records), source=source, lifespan_ns=writer.lifespan_ns)
+            message = pack(records)
+            if len(message) > MOST_MESSAGE_BYTES and self._logged.take("", time.monotonic()):
+                sizes = format_size(len(message)), format_size(MOST_MESSAGE_BYTES)
+                log.error("%s has samples of %s, and none above %s crosses (logged once a minute)", topic, *sizes)
+            self._thread.offer(self._lane, message, source=source, lifespan_ns=writer.lifespan_ns)
 
     def destroy(self) -> None:
         """Destroy the writer; what waits is lost."""
