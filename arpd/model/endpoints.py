@@ -68,7 +68,7 @@ class WithheldCause(StrEnum):
 
     RATE = "rate"  # the application publishes faster than the ceiling of the plan
     PRICE = "price"  # the same, while the price or a slow start keeps the rate below that
-    BLOCKED = "blocked"  # the writer blocked; no rate held the sample back
+    BLOCKED = "blocked"  # the writer or the reader before it had no time; no rate held the sample back
     FAILED = "failed"  # writing it raised, or the choice of what leaves
     CLOSED = "closed"  # it still waited when the publisher was destroyed
 

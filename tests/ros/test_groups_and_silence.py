@@ -93,17 +93,3 @@ def test_an_end_waits_for_the_other_one_and_the_daemon_sees_their_silence(world,
     ends.end("robot")
     eventually("the daemon sees that the relay ended", lambda: seen().is_relay_silent)
     assert seen().relay is None
-
-
-def test_a_sample_that_is_too_large_to_cross_is_named(world, eventually, tmp_path):
-    """The log of the end that has it says so, and smaller ones of the topic cross."""
-    ends = world().start()
-    received = listen(ends.side("base").node("planner"), "/cloud", msg_type=UInt8MultiArray)
-    cloud = ends.side("robot").node("lidar").create_publisher(UInt8MultiArray, "/cloud", 10)
-    eventually("the topic is read", cloud.get_subscription_count)
-    cloud.publish(UInt8MultiArray(data=bytes(2**26 + 2**22)))
-    words = "/cloud has samples of 68 MiB, and none above 64 MiB crosses"
-    eventually("the log says so", lambda: words in (tmp_path / "robot.log").read_text())
-    cloud.publish(UInt8MultiArray(data=b"small"))
-    eventually("a small one arrives", lambda: received)
-    assert [bytes(each) for each in received] == [b"small"]

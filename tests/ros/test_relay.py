@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import ExitStack, closing
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -10,10 +11,13 @@ from std_msgs.msg import Empty, String
 
 from arpd.model.endpoints import Overflow
 from arpd.model.settings import RelaySettings, RelayTopic
+from arpd.relay.ends.link import LinkThread, LinkTopic
+from arpd.relay.ends.offers import WriterOffer
 from arpd.relay.ends.prefix import Prefixed
 from arpd.relay.ends.topic_readers import Surveyed, TopicReaders
 from arpd.relay.ends.types import UnknownTypeError
 from arpd.ros.graph import Endpoint
+from arpd.ros.raw_reader import Sample
 from tests.ros.ends_world import BEST_EFFORT, RELIABLE, Counter, is_whole, latched, listen, numbers
 
 
@@ -181,7 +185,7 @@ def test_a_sample_of_a_writer_that_no_look_finds_is_delivered_once():
         is_kept=False,
     )
     for kind in ((False, False, 0), (True, False, 0)):
-        readers._held.append((kind, SimpleNamespace(writer=bytes(16)), time.monotonic() - 1.0))
+        readers._held.append((kind, SimpleNamespace(writer=bytes(16), sequence=1), time.monotonic() - 1.0))
     for _look in range(3):
         readers.follow(())
     assert heard == [(True, False, 0)]
@@ -203,16 +207,55 @@ def test_of_new_writers_the_second_waits_until_the_first_is_known():
     )
 
     def come(*gids):
-        readers._held.extend((kind, SimpleNamespace(writer=gid), time.monotonic()) for gid in gids)
+        readers._held.extend((kind, SimpleNamespace(writer=gid, sequence=1), time.monotonic()) for gid in gids)
         readers.follow(())
 
     come(old)
     come(gone, new, old)
     assert heard == [old, old]
-    readers._held.appendleft((kind, SimpleNamespace(writer=gone), time.monotonic() - 1.0))
+    readers._held.appendleft((kind, SimpleNamespace(writer=gone, sequence=1), time.monotonic() - 1.0))
     readers.follow(())
     readers.follow(())
     assert heard == [old, old, gone, gone, new]
+
+
+def test_samples_that_a_busy_computer_lost_are_offered_and_withheld(ros, stack):
+    """Their writer's numbers tell; else a topic of 100 Hz of which 3 are read would count as one of 3 Hz."""
+    view, kind = View(), (True, False, 0)
+    view.now = (Endpoint(gid=bytes(16), type_name="std_msgs/msg/String"),)
+    node = ros.node("end")
+    thread = LinkThread(1, node, "/arpd/relay/robot")
+    stack.callback(thread.stop)
+    topic = LinkTopic(node, "/imu", is_latched=False, thread=thread, settings=RelaySettings(), on_drop=None)
+    topic.readers["/imu"] = readers = TopicReaders(
+        None,
+        Surveyed(view, "/imu"),
+        String,
+        thread=None,
+        deliver=partial(topic.send, "/imu"),
+        depth=None,
+        is_kept=False,
+    )
+    for number in (50, 51, 149, 150):
+        readers._held.append((kind, Sample(b"0000", bytes(16), number), time.monotonic()))
+        readers.follow(())
+    state = topic.state()
+    assert (state.offered, state.withheld_by_cause["blocked"]) == (101, 97)
+    assert state.published + state.queued + state.withheld == state.offered
+    topic.destroy()
+
+
+def test_a_sample_that_is_too_large_to_cross_is_named(ros, stack, caplog):
+    """The log of the end that has it says so, and it counts as withheld."""
+    node = ros.node("end")
+    thread = LinkThread(1, node, "/arpd/relay/robot")
+    stack.callback(thread.stop)
+    topic = LinkTopic(node, "/cloud", is_latched=False, thread=thread, settings=RelaySettings(), on_drop=None)
+    for number in (1, 2):
+        topic.send("/cloud", WriterOffer(node="", gid="00"), Sample(bytes(2**26 + 2**22), bytes(16), number))
+    assert caplog.text.count("/cloud has samples of 68 MiB, and none above 64 MiB crosses") == 1
+    assert topic.state().withheld_by_cause["failed"] == 2
+    topic.destroy()
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):

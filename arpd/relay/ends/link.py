@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 import time
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from std_msgs.msg import UInt8MultiArray
 from arpd.endpoint.lane import SMALL_BYTES, Lane
 from arpd.endpoint.node_publishers import NodePublishers
 from arpd.endpoint.writing_thread import WritingThread
-from arpd.model.endpoints import Direction, PublisherState, WriterQos
+from arpd.model.endpoints import Direction, PublisherState, WithheldCause, WriterQos
 from arpd.model.quantities import format_size
 from arpd.model.settings import DEFAULT_RELAY_DEPTH, RelaySettings
 from arpd.relay.ends.outgoing import Carried
@@ -259,6 +260,7 @@ class LinkTopic(Carried):
         self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
         self._lane.plan = replace(self._lane.plan, depth=depth)
+        self._missed = 0
         thread.add(self._lane)
         self._shared = NodePublishers.of(node)
         self._shared.adopt(self)
@@ -292,7 +294,11 @@ class LinkTopic(Carried):
             self._thread.make_way()
         record = Record(writer_key(writer.gid), sample.sequence, sample.data)
         source, records = record.writer, [record]
-        if self._sets is not None:
+        if self._sets is None:
+            missed = self.readers[topic].missed if topic in self.readers else 0
+            self._lane.offered_rate.samples += missed
+            self._missed += missed
+        else:
             with self._lock:
                 source, records = b"", self._sets.add(self._members[topic], record)
         if records:
@@ -331,11 +337,14 @@ class LinkTopic(Carried):
 
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
+        flow = self._lane.state(time.monotonic())
+        causes = Counter(flow.withheld_by_cause) + Counter({WithheldCause.BLOCKED.value: self._missed})
+        flow = replace(flow, withheld=causes.total(), withheld_by_cause=dict(causes))
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self.topic_name,
             type_name=type_name_of(UInt8MultiArray),
             direction=Direction.LOCAL,
             baseline_depth=self.baseline.depth,
-            **self._lane.state(time.monotonic()).counted(),
+            **flow.counted(),
         )

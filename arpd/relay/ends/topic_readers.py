@@ -143,6 +143,10 @@ class TopicReaders:
     deliver : called with every sample and its writer, in the thread, one at a time
     depth : most samples that wait for the thread; None = a second of them
     is_kept : as of `RawReader`; so are those of latched writers, and of a topic with a depth of its own
+
+    Attributes
+    ----------
+    missed : samples that were lost here, because this computer is busy, before the one that is delivered
     """
 
     def __init__(
@@ -163,7 +167,8 @@ class TopicReaders:
         self._followed: tuple[WriterOffer, ...] = ()
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
         self._held: deque[tuple[WriterClass, Sample, float]] = deque(maxlen=_MOST_HELD)
-        self._heard: set[bytes] = set()  # writers of which a sample was delivered
+        self._heard: dict[bytes, int] = {}  # writers of which a sample was delivered, and its number
+        self.missed = 0
         self._lock = threading.Lock()
 
     def follow(self, writers: tuple[WriterOffer, ...]) -> None:
@@ -173,7 +178,7 @@ class TopicReaders:
                 self._readers[kind] = self._reader(kind)
             self._followed = writers
             with self._lock:
-                self._heard &= self._topic.known.keys()
+                self._heard = {gid: self._heard[gid] for gid in self._heard.keys() & self._topic.known.keys()}
         if self._held:
             with self._lock:
                 self._deliver_held()
@@ -221,8 +226,9 @@ class TopicReaders:
         """Deliver a sample if its writer is of the reader's class; return whether the graph names the writer."""
         writer = self._topic.writer(sample.writer)
         if writer is not None and writer.kind == kind:
+            self.missed = max(0, sample.sequence - self._heard.get(sample.writer, sample.sequence) - 1)
+            self._heard[sample.writer] = sample.sequence
             self._deliver_one(writer, sample)
-            self._heard.add(sample.writer)
         return writer is not None
 
     def _deliver_held(self) -> None:
