@@ -33,6 +33,7 @@ FASTDDS_PROFILE = Path(__file__).with_name("fastdds.xml")
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # the name that begins with FASTDDS is of Fast DDS 3
 _VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
 _SERVER = "ROS_DISCOVERY_SERVER"
+_MODE = "RMW_FASTRTPS_PUBLICATION_MODE"
 _RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 OWN_PROFILE = Path(__file__).with_name("fastdds-own.xml")
 TWO_ENDED_PROFILE = Path(__file__).with_name("fastdds-two-ended.xml")
@@ -65,6 +66,7 @@ def prepare_environment(profile: Path = OWN_PROFILE, environment: MutableMapping
     if environment.get(_SERVER):  # an ordinary client hears only of topics that it uses itself
         environment["ROS_SUPER_CLIENT"] = environment.get("ROS_SUPER_CLIENT") or "TRUE"
     if profile in {TWO_ENDED_PROFILE, DAEMON_PROFILE}:
+        environment[_MODE] = "SYNCHRONOUS"  # other samples would share what the profile lets discovery send
         if environment.pop("ROS_LOCALHOST_ONLY", "") == "1":  # its older name; it would confine the link's node, too
             environment[_RANGE] = "LOCALHOST"
             environment.pop(_PEERS, None)
