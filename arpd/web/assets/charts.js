@@ -43,9 +43,9 @@ const TOPIC_SERIES = [
 ];
 
 /** The last samples in columns, as in the history document; each status document adds one to each column. Those of the topics
- * begin with the page. */
+ * begin with the page: a new past takes them from the one before. */
 class Past {
-  constructor(history, status) {
+  constructor(history, status, before) {
     this.spanS = history.span_s;
     this.periodS = history.period_s;
     this.times = history.times;
@@ -55,6 +55,7 @@ class Past {
     this.plans = history.events.filter((event) => event.kind === "plan").map((event) => event.unix_time_s);
     this.generation = undefined;
     if (this.times.length > 0) this.#add(status.topics);
+    if (before) this.#recall(before);
   }
 
   append(status) {
@@ -86,6 +87,15 @@ class Past {
     return Object.fromEntries(TOPIC_SERIES.map((one) => [one.key, Array(this.times.length - 1).fill(null)]));
   }
 
+  /** Take the rates of topics from an earlier past, at each time the last one then that is not old. */
+  #recall({ times, topics }) {
+    const known = this.times.map((now) => times.findLastIndex((time) => time <= now && now < time + 2 * this.periodS));
+    for (const [name, topic] of this.topics) {
+      const earlier = topics.get(name);
+      if (earlier) for (const one of TOPIC_SERIES) topic[one.key] = topic[one.key].map((value, at) => value ?? earlier[one.key][known[at]] ?? null);
+    }
+  }
+
   #forget() {
     for (const column of [this.times, this.states]) column.shift();
     for (const { series } of CHARTS) for (const one of series) this.columns.get(one.key).shift();
@@ -114,7 +124,7 @@ export class Charts {
 
   /** Take a history document whole, and the topics of a status document. */
   load(history, status) {
-    this.past = new Past(history, status);
+    this.past = new Past(history, status, this.past);
     this.section.hidden = false;
     this.#offer(status.topics);
     this.draw();

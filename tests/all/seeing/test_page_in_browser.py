@@ -288,6 +288,31 @@ def test_no_chart_shows_a_topic_that_is_gone_as_it_is_now(daemon, visit):
     assert seen.complaints == []
 
 
+def test_a_gap_does_not_take_the_rates_of_a_topic(daemon, visit):
+    """After a gap, as of a page that was in the background, the chart still has what it saw of the topic before."""
+    before = daemon.snapshot
+
+    def goes_on(later_s, rate_hz):
+        one = publisher("/n", "/t", source_rate_hz=rate_hz)
+        observation = replace(before.observation, publishers=(one,))
+        now = replace(before, observation=observation, finished_at_s=FINISHED_AT_S + later_s)
+        daemon.snapshot = replace(now, unix_time_s=before.unix_time_s + later_s)
+        daemon.history.note(daemon.snapshot)
+
+    def sentence():
+        return seen.says("document.querySelector('#text-topic').textContent")
+
+    goes_on(0.0, 55.0)
+    seen = visit()
+    eventually("the topic is drawn", lambda: "source 55.0 Hz now" in sentence())
+    goes_on(4.0, 77.0)
+    eventually("the page follows", lambda: "source 77.0 Hz now" in sentence())
+    goes_on(20.0, 33.0)
+    eventually("the page follows after the gap", lambda: "source 33.0 Hz now" in sentence())
+    assert "33.0 to 77.0" in sentence()
+    assert seen.complaints == []
+
+
 def test_no_width_overflows(daemon, visit):
     """From a small phone to a wide screen the page itself never scrolls sideways; wide tables do inside."""
     seen = visit(size=PHONE)
