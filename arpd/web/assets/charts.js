@@ -1,6 +1,6 @@
 // The charts of the last ten minutes, drawn by uPlot. A sentence says the same as each chart.
 
-import { clock, minute, number } from "./fields.js";
+import { clock, minute, number, second } from "./fields.js";
 
 const MBIT = 8e-6;
 const LEAST_SPAN_S = 60; // of an axis that nobody chose
@@ -206,7 +206,7 @@ export class Charts {
         y: chart.powers ? logarithmic : linear,
       },
       axes: [
-        { ...axis, size: 24, gap: 4, space: 64, values: (_plot, splits) => splits.map(splits[1] - splits[0] < 60 ? clock : minute), incrs: [5, 10, 30, 60, 120, 300] },
+        { ...axis, size: 24, gap: 4, space: 64, values: (_plot, splits) => splits.map(splits[1] - splits[0] < 60 ? second : minute), incrs: [5, 10, 30, 60, 120, 300] },
         { ...axis, size: chart.powers ? 54 : 44, gap: 6, space: 34, ...(chart.powers ? powers : {}) },
       ],
       series: [

@@ -32,7 +32,9 @@ export function clock(unixTime) {
   return isToday ? TIME.format(at) : `${DAY.format(at)} ${TIME.format(at)}`;
 }
 
-export const minute = (unixTime) => TIME.format(new Date(unixTime * 1000)).slice(0, 5);
+/** The same without the day, for an axis, where a day would run into the next time. */
+export const second = (unixTime) => TIME.format(new Date(unixTime * 1000));
+export const minute = (unixTime) => second(unixTime).slice(0, 5);
 
 export const FORMATS = {
   text: (value) => (value === "" ? "" : text(value)),

@@ -256,6 +256,26 @@ def test_a_clock_that_is_set_back_freezes_nothing(daemon, visit):
     assert seen.complaints == []
 
 
+def test_the_times_of_an_axis_stay_apart_on_another_day(daemon, visit):
+    """Where the browser's day is not the robot's, which may have no battery for its clock, no two times overlap."""
+    seen = visit(size={"width": 1000, "height": 800})
+    seen.await_charts()
+    seen.page.evaluate("""() => {
+      globalThis.times = [];
+      const fill = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+        if (text.includes(":")) times.push({ canvas: this.canvas, x, width: this.measureText(text).width });
+        return fill.call(this, text, x, y);
+      };
+    }""")
+    seen.page.locator("[data-span='120']").click()
+    eventually("the axes are drawn", lambda: seen.says("times.length > 20"))
+    assert seen.says("""times.every((one, at) => {
+      const next = times[at + 1];
+      return next?.canvas !== one.canvas || next.x <= one.x || next.x - one.x > one.width;
+    })""")
+
+
 def test_a_hundred_topics_stay_readable(daemon, visit):
     """A hundred topics are sorted by a column and found by words, and the table scrolls inside itself."""
     many = tuple(publisher(f"/n{n % 7}", f"/t{n}", source_rate_hz=float(n)) for n in range(100))
