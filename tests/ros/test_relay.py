@@ -181,6 +181,7 @@ def test_a_sample_of_a_writer_that_no_look_finds_is_delivered_once():
         String,
         thread=None,
         deliver=lambda writer, _sample: heard.append(writer.kind),
+        on_missed=None,
         depth=None,
         is_kept=False,
     )
@@ -202,6 +203,7 @@ def test_of_new_writers_the_second_waits_until_the_first_is_known():
         String,
         thread=None,
         deliver=lambda writer, _sample: heard.append(bytes.fromhex(writer.gid)),
+        on_missed=None,
         depth=None,
         is_kept=False,
     )
@@ -219,20 +221,33 @@ def test_of_new_writers_the_second_waits_until_the_first_is_known():
     assert heard == [old, old, gone, gone, new]
 
 
-def test_samples_that_a_busy_computer_lost_are_offered_and_withheld(ros, stack):
-    """Their writer's numbers tell; else a topic of 100 Hz of which 3 are read would count as one of 3 Hz."""
-    view, kind = View(), (True, False, 0)
-    view.now = (Endpoint(gid=bytes(16), type_name="std_msgs/msg/String"),)
+@pytest.fixture
+def link_topic(ros, stack):
+    """Return a function that makes a topic of the link by its name."""
     node = ros.node("end")
     thread = LinkThread(1, node, "/arpd/relay/robot")
     stack.callback(thread.stop)
-    topic = LinkTopic(node, "/imu", is_latched=False, thread=thread, settings=RelaySettings(), on_drop=None)
-    topic.readers["/imu"] = readers = TopicReaders(
+
+    def make(name):
+        topic = LinkTopic(node, name, is_latched=False, thread=thread, settings=RelaySettings(), on_drop=None)
+        stack.callback(topic.destroy)
+        return topic
+
+    return make
+
+
+def test_samples_that_a_busy_computer_lost_are_offered_and_withheld(link_topic):
+    """Their writer's numbers tell; else a topic of 100 Hz of which 3 are read would count as one of 3 Hz."""
+    view, kind = View(), (True, False, 0)
+    view.now = (Endpoint(gid=bytes(16), type_name="std_msgs/msg/String"),)
+    topic = link_topic("/imu")
+    readers = TopicReaders(
         None,
         Surveyed(view, "/imu"),
         String,
         thread=None,
         deliver=partial(topic.send, "/imu"),
+        on_missed=topic.miss,
         depth=None,
         is_kept=False,
     )
@@ -242,20 +257,15 @@ def test_samples_that_a_busy_computer_lost_are_offered_and_withheld(ros, stack):
     state = topic.state()
     assert (state.offered, state.withheld_by_cause["blocked"]) == (101, 97)
     assert state.published + state.queued + state.withheld == state.offered
-    topic.destroy()
 
 
-def test_a_sample_that_is_too_large_to_cross_is_named(ros, stack, caplog):
+def test_a_sample_that_is_too_large_to_cross_is_named(link_topic, caplog):
     """The log of the end that has it says so, and it counts as withheld."""
-    node = ros.node("end")
-    thread = LinkThread(1, node, "/arpd/relay/robot")
-    stack.callback(thread.stop)
-    topic = LinkTopic(node, "/cloud", is_latched=False, thread=thread, settings=RelaySettings(), on_drop=None)
+    topic = link_topic("/cloud")
     for number in (1, 2):
         topic.send("/cloud", WriterOffer(node="", gid="00"), Sample(bytes(2**26 + 2**22), bytes(16), number))
     assert caplog.text.count("/cloud has samples of 68 MiB, and none above 64 MiB crosses") == 1
     assert topic.state().withheld_by_cause["failed"] == 2
-    topic.destroy()
 
 
 def test_circles_are_refused_and_named(elsewhere, lines, carry, talking, eventually):

@@ -6,7 +6,6 @@ import logging
 import math
 import threading
 import time
-from collections import Counter
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -98,6 +97,12 @@ class LinkThread(WritingThread):
             is_large, is_there = len(record) > SMALL_BYTES, self._large_calls.has(source, self._clock())
             if not (is_large and is_there):
                 self.offer(self._large_calls if is_large or is_there else self._small_calls, record, source=source)
+
+    def miss(self, lane: Lane, samples: int) -> None:
+        """Count samples that nobody had time to read as offered and withheld."""
+        with self._changed:
+            lane.offered_rate.samples += samples
+            lane.withheld[WithheldCause.BLOCKED.value] += samples
 
     def tell(self, state: bytes) -> None:
         """Write a state of the end, before all that waits."""
@@ -260,7 +265,6 @@ class LinkTopic(Carried):
         self._lane = Lane(Outlet(self._publisher.handle).publish, **lane)
         self.baseline = WriterQos(depth=depth, deadline_ns=0)
         self._lane.plan = replace(self._lane.plan, depth=depth)
-        self._missed = 0
         thread.add(self._lane)
         self._shared = NodePublishers.of(node)
         self._shared.adopt(self)
@@ -294,11 +298,7 @@ class LinkTopic(Carried):
             self._thread.make_way()
         record = Record(writer_key(writer.gid), sample.sequence, sample.data)
         source, records = record.writer, [record]
-        if self._sets is None:
-            missed = self.readers[topic].missed if topic in self.readers else 0
-            self._lane.offered_rate.samples += missed
-            self._missed += missed
-        else:
+        if self._sets is not None:
             with self._lock:
                 source, records = b"", self._sets.add(self._members[topic], record)
         if records:
@@ -307,6 +307,11 @@ class LinkTopic(Carried):
                 sizes = format_size(len(message)), format_size(MOST_MESSAGE_BYTES)
                 log.error("%s has samples of %s, and none above %s crosses (logged once a minute)", topic, *sizes)
             self._thread.offer(self._lane, message, source=source, lifespan_ns=writer.lifespan_ns)
+
+    def miss(self, samples: int) -> None:
+        """Count what this computer lost before the next sample; of a group nobody counts it."""
+        if self._sets is None:
+            self._thread.miss(self._lane, samples)
 
     def destroy(self) -> None:
         """Destroy the writer; what waits is lost."""
@@ -337,14 +342,11 @@ class LinkTopic(Carried):
 
     def state(self) -> PublisherState:
         """Return the settings in force and the counters, for the daemon."""
-        flow = self._lane.state(time.monotonic())
-        causes = Counter(flow.withheld_by_cause) + Counter({WithheldCause.BLOCKED.value: self._missed})
-        flow = replace(flow, withheld=causes.total(), withheld_by_cause=dict(causes))
         return PublisherState(
             node=self._node.get_fully_qualified_name(),
             topic=self.topic_name,
             type_name=type_name_of(UInt8MultiArray),
             direction=Direction.LOCAL,
             baseline_depth=self.baseline.depth,
-            **flow.counted(),
+            **self._lane.state(time.monotonic()).counted(),
         )

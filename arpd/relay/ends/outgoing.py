@@ -67,6 +67,9 @@ class Carried:
         """Send a sample on, in the reading thread."""
         raise NotImplementedError
 
+    def miss(self, samples: int) -> None:
+        """Take note that this computer was too busy to read so many samples, in the reading thread."""
+
     def destroy(self) -> None:
         """Send no more."""
         raise NotImplementedError
@@ -228,6 +231,7 @@ class Outgoing:
                     kind,
                     thread=self.thread,
                     deliver=partial(carried.send, topic),
+                    on_missed=carried.miss,
                     depth=self._settings.depths.get(topic),
                     # Those of a group wait for each other.
                     is_kept=topic in self._settings.queued or topic in self._groups,

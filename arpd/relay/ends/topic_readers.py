@@ -141,12 +141,9 @@ class TopicReaders:
     ----------
     topic : names the writers
     deliver : called with every sample and its writer, in the thread, one at a time
+    on_missed : called before, with the number of samples that this computer was too busy to read, if there are any
     depth : most samples that wait for the thread; None = a second of them
     is_kept : as of `RawReader`; so are those of latched writers, and of a topic with a depth of its own
-
-    Attributes
-    ----------
-    missed : samples that were lost here, because this computer is busy, before the one that is delivered
     """
 
     def __init__(
@@ -157,18 +154,18 @@ class TopicReaders:
         *,
         thread: ReadingThread,
         deliver: Callable[[WriterOffer, Sample], None],
+        on_missed: Callable[[int], None],
         depth: int | None,
         is_kept: bool,
     ) -> None:
         self._node, self._topic, self._msg_type = node, topic, msg_type
-        self._thread, self._deliver_one = thread, deliver
+        self._thread, self._deliver_one, self._on_missed = thread, deliver, on_missed
         self._depth, self._is_kept = depth, is_kept
         self._readers: dict[WriterClass, RawReader] = {}
         self._followed: tuple[WriterOffer, ...] = ()
         # Samples whose writer the graph does not name yet, the class that their reader hears, and when they came.
         self._held: deque[tuple[WriterClass, Sample, float]] = deque(maxlen=_MOST_HELD)
         self._heard: dict[bytes, int] = {}  # writers of which a sample was delivered, and its number
-        self.missed = 0
         self._lock = threading.Lock()
 
     def follow(self, writers: tuple[WriterOffer, ...]) -> None:
@@ -226,7 +223,8 @@ class TopicReaders:
         """Deliver a sample if its writer is of the reader's class; return whether the graph names the writer."""
         writer = self._topic.writer(sample.writer)
         if writer is not None and writer.kind == kind:
-            self.missed = max(0, sample.sequence - self._heard.get(sample.writer, sample.sequence) - 1)
+            if (missed := sample.sequence - self._heard.get(sample.writer, sample.sequence) - 1) > 0:
+                self._on_missed(missed)
             self._heard[sample.writer] = sample.sequence
             self._deliver_one(writer, sample)
         return writer is not None
